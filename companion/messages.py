@@ -1,0 +1,232 @@
+"""What flows through the pipeline: frozen events in, frozen outputs out.
+
+Rules
+-----
+* Every message carries ``t_ns``: integer nanoseconds on the companion's time base, the instant at which its content
+  was true (mid-exposure, time of fix), never the instant of arrival.
+* SI units and radians. Frames are in the names (see ``companion.geometry``).
+* A message is valid once built: adapters check finite values and ranges first, and send a ``Reject`` instead of a
+  message that does not hold.
+* What was not measured is absent (None), never zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.geometry import SE3, Mat, Vec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFrame:
+    """One picture. ``image`` (h, w, 3) uint8 RGB; ``t_ns`` mid-exposure."""
+
+    t_ns: int
+    sequence: int
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnAttitude:
+    """Receiver's attitude from its INS: ``R_ned_frd`` (3, 3), body rates ``omega_frd_rad_s`` (3,)."""
+
+    t_ns: int
+    R_ned_frd: Mat
+    omega_frd_rad_s: Vec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnPosition:
+    """Receiver's GPS/INS position and inertial velocity of its centre of mass, in ``ned``."""
+
+    t_ns: int
+    p_ned_m: Vec
+    v_ned_m_s: Vec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TankerState:
+    """What the tanker tells of itself over the datalink: the 12 states of thesis 3.2 as one rigid-body state."""
+
+    t_ns: int
+    p_ned_m: Vec
+    v_ned_m_s: Vec
+    R_ned_tanker: Mat
+    omega_tanker_rad_s: Vec
+
+
+class AutopilotMode(StrEnum):
+    """What the autopilot says it does with setpoints."""
+
+    UNKNOWN = "unknown"
+    MANUAL = "manual"
+    GUIDED = "guided"
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotStatus:
+    """Content of the autopilot's HEARTBEAT that guidance needs."""
+
+    t_ns: int
+    mode: AutopilotMode
+    armed: bool
+
+
+class Command(StrEnum):
+    """What an operator can ask for."""
+
+    ENGAGE = "engage"
+    BREAKAWAY = "breakaway"
+    CLEAR = "clear"
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorCommand:
+    """An operator's command, from MAVLink or the command line."""
+
+    t_ns: int
+    command: Command
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """A guidance step is due at ``t_ns``."""
+
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reject:
+    """Bad input that was dropped: counted by (source, reason); ``detail`` is for people."""
+
+    t_ns: int
+    source: str
+    reason: str
+    detail: str = ""
+
+
+Event = CameraFrame | OwnAttitude | OwnPosition | TankerState | AutopilotStatus | OperatorCommand | Tick | Reject
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Marker candidates of one frame: centroids ``uv_px`` (m, 2), x right, y down, pixel centres at integers."""
+
+    t_ns: int
+    uv_px: Mat
+    area_px: Vec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMeasurement:
+    """Pose of the tanker in the camera from one frame (thesis ^C T_T).
+
+    ``labels`` (n,) index into the frame's detections for each marker of the map, -1 where unlabelled;
+    ``object_error_m`` RMS object-space error; ``image_error`` RMS on the plane z = 1.
+    """
+
+    t_ns: int
+    T_cam_tanker: SE3
+    labels: NDArray[np.int64]
+    markers_used: int
+    iterations: int
+    object_error_m: float
+    image_error: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VisionOutput:
+    """Everything that the vision chain found in one frame; ``pose`` is None when ``reject`` says why not."""
+
+    t_ns: int
+    sequence: int
+    detections: Detections
+    predicted_uv_px: Mat
+    pose: PoseMeasurement | None
+    reject: Reject | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedPose:
+    """Blend of GPS and vision at the instant of an exposure (thesis eq. 3.9): the next frame's prior."""
+
+    t_ns: int
+    T_cam_tanker: SE3
+    T_cam_tanker_gps: SE3
+    vision_weight: float
+    markers_used: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativeState:
+    """Where the receiver is relative to the box, at one instant; what guidance flies on.
+
+    ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) its rate from the two inertial
+    velocities (so that the tanker's yaw in gusts does not look like lateral speed). ``a_mrf_tanker_m_s2`` (3,)
+    acceleration of the tanker. ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the last fused
+    measurement.
+    """
+
+    t_ns: int
+    estimate_t_ns: int
+    p_mrf_br_m: Vec
+    v_mrf_br_m_s: Vec
+    a_mrf_tanker_m_s2: Vec
+    v_mrf_own_m_s: Vec
+    R_ned_frd: Mat
+    omega_frd_rad_s: Vec
+    heading0_rad: float
+    T_cam_tanker: SE3
+    range_m: float
+    vision_weight: float
+    markers_used: int
+
+
+class Phase(StrEnum):
+    """Phases of a refuelling approach; rules in ``companion.guidance.modes``."""
+
+    STANDBY = "standby"
+    JOIN = "join"
+    APPROACH = "approach"
+    HOLD = "hold"
+    BREAKAWAY = "breakaway"
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseChange:
+    """The phase machine moved."""
+
+    t_ns: int
+    old: Phase
+    new: Phase
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Attitude and thrust for the autopilot: roll, pitch, yaw in rad (``ned`` to body), thrust 0..1."""
+
+    t_ns: int
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    thrust: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GuidanceOutput:
+    """One guidance step: the reference of the path and the error against it, for the record."""
+
+    t_ns: int
+    phase: Phase
+    reference_mrf_m: Vec
+    error_mrf_m: Vec
+    integral_mrf_m_s: Vec
+    setpoint: Setpoint | None
+
+
+Output = VisionOutput | FusedPose | RelativeState | PhaseChange | GuidanceOutput | Setpoint | Reject

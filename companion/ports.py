@@ -1,0 +1,51 @@
+"""The edges of the core: one small Protocol for each thing that an adapter has to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from companion.messages import Event, Output, Setpoint
+
+
+class Clock(Protocol):
+    """Time on the companion's base."""
+
+    def now_ns(self) -> int:
+        """Return the present instant in ns."""
+
+
+class EventSource(Protocol):
+    """Something that delivers events: a link, a camera, a recording."""
+
+    def poll(self) -> Iterable[Event]:
+        """Return the events that have arrived since the last call, without waiting."""
+
+    def close(self) -> None:
+        """Let go of the device; safe to call twice."""
+
+
+class SetpointSink(Protocol):
+    """Where setpoints leave."""
+
+    def send(self, setpoint: Setpoint) -> None:
+        """Send one setpoint."""
+
+
+class Recorder(Protocol):
+    """Where everything is written down."""
+
+    def event(self, event: Event) -> None:
+        """Record an input."""
+
+    def output(self, output: Output) -> None:
+        """Record an output."""
+
+    def mavlink(self, t_ns: int, data: bytes) -> None:
+        """Record one raw MAVLink frame, in or out."""
+
+    def latency(self, t_ns: int, stage: str, duration_ns: int) -> None:
+        """Record how long a stage took."""
+
+    def close(self) -> None:
+        """Flush and close; safe to call twice."""

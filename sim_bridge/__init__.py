@@ -1,0 +1,1 @@
+"""Stands in for everything outside the companion: two aircraft, weather, sensors, camera, autopilot, datalink."""
