@@ -44,7 +44,7 @@ class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 Vec3 = tuple[float, float, float]
 
 
-class CameraConfig(Struct):
+class CameraConfig(Struct, frozen=True, kw_only=True):
     """Pinhole camera with Brown distortion, and its place on the receiver.
 
     ``distortion`` k1, k2, p1, p2, k3 of OpenCV. ``p_frd_cam_m`` is the centre of projection in receiver body axes;
@@ -69,7 +69,7 @@ class CameraConfig(Struct):
     latency_s: float = 0.02
 
 
-class MarkerConfig(Struct):
+class MarkerConfig(Struct, frozen=True, kw_only=True):
     """One light on the tanker. ``p_tanker_m`` in tanker body axes from its centre of mass."""
 
     id: int
@@ -77,14 +77,14 @@ class MarkerConfig(Struct):
     where: str = ""
 
 
-class WindowConfig(Struct):
+class WindowConfig(Struct, frozen=True, kw_only=True):
     """Three-dimensional window of thesis Tab. 1.1: half-widths about box B, per axis of ``mrf``."""
 
     desired_m: Vec3 = (0.40, 1.87, 0.90)
     limit_m: Vec3 = (2.10, 2.10, 2.56)
 
 
-class BoomConfig(Struct):
+class BoomConfig(Struct, frozen=True, kw_only=True):
     """Where the boom hangs: pivot in tanker axes, nominal angles and length."""
 
     pivot_tanker_m: Vec3
@@ -93,7 +93,7 @@ class BoomConfig(Struct):
     length_m: float = 11.5
 
 
-class TankerConfig(Struct):
+class TankerConfig(Struct, frozen=True, kw_only=True):
     """What the companion must know of a tanker: lights, refuelling box, window."""
 
     name: str
@@ -105,7 +105,7 @@ class TankerConfig(Struct):
     why: str = ""
 
 
-class DetectionConfig(Struct):
+class DetectionConfig(Struct, frozen=True, kw_only=True):
     """Marker detection (thesis 4.2.1): a pixel is lit when red exceeds the larger of green and blue by a threshold."""
 
     threshold: int = 60
@@ -115,7 +115,7 @@ class DetectionConfig(Struct):
     max_detections: int = 64
 
 
-class VisionConfig(Struct):
+class VisionConfig(Struct, frozen=True, kw_only=True):
     """Labeling and pose. ``mode`` rv uses the picture, sv the projected markers (thesis 4.2.5)."""
 
     solver: Literal["lhm", "glsdc"] = "lhm"
@@ -130,7 +130,7 @@ class VisionConfig(Struct):
     detection: DetectionConfig = DetectionConfig()
 
 
-class FusionConfig(Struct):
+class FusionConfig(Struct, frozen=True, kw_only=True):
     """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``."""
 
     method: Literal["blend"] = "blend"
@@ -142,7 +142,7 @@ class FusionConfig(Struct):
     tanker_stale_s: float = 1.0
 
 
-class GuidanceConfig(Struct):
+class GuidanceConfig(Struct, frozen=True, kw_only=True):
     """Path, law and phases."""
 
     law: Literal["attitude"] = "attitude"
@@ -159,7 +159,7 @@ class GuidanceConfig(Struct):
     breakaway_thrust: float = 0.05
 
 
-class LinksConfig(Struct):
+class LinksConfig(Struct, frozen=True, kw_only=True):
     """Where the other ends are. An empty ``datalink`` or ``camera`` means there is none."""
 
     mavlink: str = "udpin:127.0.0.1:14540"
@@ -170,7 +170,7 @@ class LinksConfig(Struct):
     autopilot_component_id: int = 1
 
 
-class RecorderConfig(Struct):
+class RecorderConfig(Struct, frozen=True, kw_only=True):
     """What is written to the run folder."""
 
     out: str = "runs"
@@ -178,7 +178,7 @@ class RecorderConfig(Struct):
     jpeg_quality: int = 80
 
 
-class AttitudeResponse(Struct):
+class AttitudeResponse(Struct, frozen=True, kw_only=True):
     """How the autopilot follows attitude and thrust: second-order roll and pitch, first-order thrust, delay."""
 
     roll_rad_s: float
@@ -189,7 +189,7 @@ class AttitudeResponse(Struct):
     delay_s: float
 
 
-class TrimConfig(Struct):
+class TrimConfig(Struct, frozen=True, kw_only=True):
     """Level flight behind the tanker."""
 
     airspeed_m_s: float
@@ -199,7 +199,7 @@ class TrimConfig(Struct):
     effectors: tuple[float, ...]
 
 
-class AirframeConfig(Struct):
+class AirframeConfig(Struct, frozen=True, kw_only=True):
     """The receiver: where its receptacle is and how it flies; written by ``sim-bridge linearize``.
 
     ``A`` (9, 9) over V, alpha, beta, p, q, r, psi, theta, phi (m/s, rad, rad/s) and ``B`` (9, 10) over the thesis'
@@ -216,7 +216,7 @@ class AirframeConfig(Struct):
     source: str = ""
 
 
-class CompanionConfig(Struct):
+class CompanionConfig(Struct, frozen=True, kw_only=True):
     """Everything that ``companion run`` needs; the named files are loaded beside it."""
 
     camera: str
