@@ -142,14 +142,37 @@ class FusionConfig(Struct, frozen=True, kw_only=True):
     tanker_stale_s: float = 1.0
 
 
+class LawWeights(Struct, frozen=True, kw_only=True):
+    """Diagonals of Q and R of the docking law (thesis eq. 3.11): errors, rates, integrals, then inputs."""
+
+    e_x: float = 1.0
+    e_y: float = 1.0
+    e_z: float = 1.0
+    v_x: float = 1.0
+    v_y: float = 1.0
+    v_z: float = 1.0
+    p: float = 0.0
+    q: float = 0.0
+    int_x: float = 0.05
+    int_y: float = 0.05
+    int_z: float = 0.05
+    roll: float = 100.0
+    pitch: float = 2000.0
+    thrust: float = 20.0
+
+
 class GuidanceConfig(Struct, frozen=True, kw_only=True):
-    """Path, law and phases."""
+    """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival, without the airframe's."""
 
     law: Literal["attitude"] = "attitude"
     rate_hz: float = 50.0
+    weights: LawWeights = LawWeights()
+    link_delay_s: float = 0.0
     auto_engage: bool = False
     path_duration_s: float = 50.0
     join_settle_s: float = 3.0
+    join_tolerance_m: float = 2.5
+    off_path_m: float = 10.0
     estimate_stale_s: float = 0.3
     breakaway_stale_s: float = 1.0
     capture_s: float = 2.0

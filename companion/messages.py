@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 
 from companion.geometry import SE3, Mat, Vec
 
+NS = 1e-9
+"""Seconds in a nanosecond."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFrame:

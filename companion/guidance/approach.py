@@ -1,0 +1,147 @@
+"""One guidance step: phase, reference, law, guard, in that order. No setpoint leaves by another way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.config import AirframeConfig, GuidanceConfig, WindowConfig
+from companion.geometry import euler_from_rotation
+from companion.guidance.guard import Envelope, guard
+from companion.guidance.law import DockingLaw
+from companion.guidance.modes import Limits, PhaseMachine, Situation
+from companion.guidance.path import CubicPath, Reference, station
+from companion.messages import (
+    NS,
+    AutopilotMode,
+    AutopilotStatus,
+    Command,
+    GuidanceOutput,
+    Output,
+    Phase,
+    PhaseChange,
+    RelativeState,
+    Setpoint,
+)
+
+SETTLED_SPEED_M_S = 0.5
+HEARTBEAT_STALE_S = 3.0
+
+
+class Approach:
+    """Flies the table of ``modes`` from standby to hold."""
+
+    def __init__(self, config: GuidanceConfig, airframe: AirframeConfig, window: WindowConfig) -> None:
+        self._config, self._airframe = config, airframe
+        self._desired_m, self._limit_m = np.array(window.desired_m), np.array(window.limit_m)
+        self._machine = PhaseMachine(
+            Limits(config.estimate_stale_s, config.breakaway_stale_s, config.join_settle_s, config.capture_s)
+        )
+        trim = airframe.trim
+        self._envelope = Envelope(
+            config.max_roll_rad, trim.alpha_rad, config.max_pitch_offset_rad, config.estimate_stale_s
+        )
+        self._law = DockingLaw(airframe, config)
+        self._path: CubicPath | None = None
+        self._station = station(np.zeros(3))
+        self._engaged = config.auto_engage
+        self._command: Command | None = None
+        self._status: AutopilotStatus | None = None
+        self._settled_since: int | None = None
+        self._captured_since: int | None = None
+
+    @property
+    def phase(self) -> Phase:
+        """Return the present phase."""
+        return self._machine.phase
+
+    def status_event(self, status: AutopilotStatus) -> None:
+        """Take the autopilot's heartbeat."""
+        self._status = status
+
+    def command_event(self, command: Command) -> None:
+        """Take an operator's command; it is looked at in the next step."""
+        self._command = command
+        if command is Command.ENGAGE:
+            self._engaged = True
+        else:
+            self._engaged = False  # after a breakaway or a clear the operator engages again
+
+    def step(self, t_ns: int, state: RelativeState | None) -> list[Output]:
+        """Run one step; at most one Setpoint is among the outputs."""
+        outputs: list[Output] = []
+        change = self._machine.step(t_ns, self._situation(t_ns, state))
+        self._command = None
+        if change is not None:
+            outputs.append(change)
+            self._enter(change, state)
+        if self.phase is Phase.STANDBY or state is None:
+            return outputs
+        age_s = (t_ns - state.estimate_t_ns) * NS
+        reference = self._reference(t_ns)
+        sent = guard(self._wanted(t_ns, state, reference), age_s, self._envelope)
+        self._watch(t_ns, state, reference)
+        setpoint = sent if isinstance(sent, Setpoint) else None
+        error = state.p_mrf_br_m - reference.p_m
+        outputs.append(GuidanceOutput(t_ns, self.phase, reference.p_m, error, self._law.integral_m_s, setpoint))
+        outputs.append(sent)
+        return outputs
+
+    def _situation(self, t_ns: int, state: RelativeState | None) -> Situation:
+        s = self._status
+        guided = s is not None and s.mode is AutopilotMode.GUIDED and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
+        if state is None:
+            return Situation(None, guided, self._engaged, self._command)
+        error = state.p_mrf_br_m - self._reference(t_ns).p_m
+        return Situation(
+            estimate_age_s=(t_ns - state.estimate_t_ns) * NS,
+            guided=guided,
+            engaged=self._engaged,
+            command=self._command,
+            settled_s=_since(t_ns, self._settled_since),
+            path_done=self._path is not None and self._path.done(t_ns),
+            captured_s=_since(t_ns, self._captured_since),
+            inside_limit=bool(np.all(np.abs(state.p_mrf_br_m) <= self._limit_m)),
+            tracking_ok=bool(np.sqrt(error @ error) <= self._config.off_path_m),
+        )
+
+    def _enter(self, change: PhaseChange, state: RelativeState | None) -> None:
+        self._settled_since = self._captured_since = None
+        if change.new is Phase.JOIN and state is not None:
+            self._law.reset()
+            self._station = station(state.p_mrf_br_m)
+        elif change.new is Phase.APPROACH:
+            self._path = CubicPath(change.t_ns, self._station.p_m, np.zeros(3), self._config.path_duration_s)
+        elif change.new in (Phase.STANDBY, Phase.BREAKAWAY):
+            self._path = None
+            self._station = station(np.zeros(3))
+
+    def _reference(self, t_ns: int) -> Reference:
+        return self._station if self._path is None else self._path.at(t_ns)
+
+    def _wanted(self, t_ns: int, state: RelativeState, reference: Reference) -> Setpoint:
+        if self.phase is not Phase.BREAKAWAY:
+            return self._law.step(state, reference)
+        yaw, _, _ = euler_from_rotation(state.R_ned_frd)
+        pitch = self._airframe.trim.alpha_rad - self._config.breakaway_descent_rad
+        return Setpoint(t_ns, 0.0, pitch, yaw, self._config.breakaway_thrust)
+
+    def _watch(self, t_ns: int, state: RelativeState, reference: Reference) -> None:
+        """Keep since when the receiver has held its station, and since when it has been inside the desired window."""
+        error = state.p_mrf_br_m - reference.p_m
+        speed = state.v_mrf_br_m_s - reference.v_m_s
+        settled = error @ error < self._config.join_tolerance_m**2 and speed @ speed < SETTLED_SPEED_M_S**2
+        captured = bool(np.all(np.abs(state.p_mrf_br_m) <= self._desired_m))
+        self._settled_since = _mark(self._settled_since, bool(settled), t_ns)
+        self._captured_since = _mark(self._captured_since, captured, t_ns)
+
+
+def _since(t_ns: int, start_ns: int | None) -> float:
+    return 0.0 if start_ns is None else (t_ns - start_ns) * NS
+
+
+def _mark(start_ns: int | None, holds: bool, t_ns: int) -> int | None:
+    if not holds:
+        return None
+    return t_ns if start_ns is None else start_ns
+
+

@@ -1,0 +1,97 @@
+"""The core on one page: events in, outputs out; no input, output or clock.
+
+``handle`` takes one event and returns what follows from it, in order. Live service, lockstep simulation and replay call
+the same method with the same events. ``mark`` is told the name of each stage as it ends; a driver that owns a clock
+turns that into latencies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from companion.config import Setup
+from companion.estimation.blend import Blend
+from companion.estimation.relative import RelativeEstimator
+from companion.guidance.approach import Approach
+from companion.messages import (
+    AutopilotStatus,
+    CameraFrame,
+    Event,
+    OperatorCommand,
+    Output,
+    OwnAttitude,
+    OwnPosition,
+    Phase,
+    Reject,
+    TankerState,
+    Tick,
+)
+from companion.vision.camera import T_frd_cam
+from companion.vision.chain import VisionChain
+
+
+def unmarked(stage: str) -> None:
+    """Ignore the end of a stage: for drivers that do not measure."""
+
+
+class Pipeline:
+    """Vision, estimation and guidance, wired."""
+
+    def __init__(self, setup: Setup, mark: Callable[[str], None] = unmarked) -> None:
+        self._mark = mark
+        self.vision = VisionChain(setup.camera, setup.tanker, setup.config.vision)
+        self.blend = Blend(setup.config.fusion, T_frd_cam(setup.camera))
+        self.relative = RelativeEstimator(self.blend, setup.tanker, setup.airframe)
+        self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
+
+    @property
+    def phase(self) -> Phase:
+        """Return the present phase."""
+        return self.approach.phase
+
+    def handle(self, event: Event) -> list[Output]:
+        """Take one event and return its outputs."""
+        match event:
+            case CameraFrame():
+                return self._frame(event)
+            case OwnAttitude():
+                return _only(self.blend.own_attitude_event(event))
+            case OwnPosition():
+                return _only(self.blend.own_position_event(event))
+            case TankerState():
+                return _only(self.blend.tanker_event(event))
+            case Tick():
+                return self._tick(event)
+            case AutopilotStatus():
+                self.approach.status_event(event)
+            case OperatorCommand():
+                self.approach.command_event(event.command)
+            case Reject():
+                return [event]
+        return []
+
+    def _frame(self, frame: CameraFrame) -> list[Output]:
+        prior = self.blend.prior(frame.t_ns)
+        if prior is None:
+            return [Reject(frame.t_ns, "vision", "no_prior")]
+        seen = self.vision.process(frame, prior)
+        self._mark("vision")
+        fused = self.blend.update(frame.t_ns, seen.pose)
+        self._mark("fusion")
+        outputs: list[Output] = [seen]
+        if seen.reject is not None:
+            outputs.append(seen.reject)
+        if fused is not None:
+            outputs.append(fused)
+        return outputs
+
+    def _tick(self, tick: Tick) -> list[Output]:
+        state = self.relative.at(tick.t_ns)
+        outputs: list[Output] = [] if state is None else [state]
+        outputs += self.approach.step(tick.t_ns, state)
+        self._mark("guidance")
+        return outputs
+
+
+def _only(reject: Reject | None) -> list[Output]:
+    return [] if reject is None else [reject]
