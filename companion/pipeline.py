@@ -8,6 +8,7 @@ turns that into latencies.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from companion.config import Setup
 from companion.estimation.blend import Blend
@@ -44,6 +45,17 @@ class Pipeline:
         self.relative = RelativeEstimator(self.blend, setup.tanker, setup.airframe)
         self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
 
+        self._handlers: dict[type, Callable[[Any], list[Output]]] = {
+            CameraFrame: self._frame,
+            Tick: self._tick,
+            OwnAttitude: lambda event: _only(self.blend.own_attitude_event(event)),
+            OwnPosition: lambda event: _only(self.blend.own_position_event(event)),
+            TankerState: lambda event: _only(self.blend.tanker_event(event)),
+            AutopilotStatus: lambda event: _none(self.approach.status_event(event)),
+            OperatorCommand: lambda event: _none(self.approach.command_event(event.command)),
+            Reject: lambda event: [event],
+        }
+
     @property
     def phase(self) -> Phase:
         """Return the present phase."""
@@ -51,24 +63,7 @@ class Pipeline:
 
     def handle(self, event: Event) -> list[Output]:
         """Take one event and return its outputs."""
-        match event:
-            case CameraFrame():
-                return self._frame(event)
-            case OwnAttitude():
-                return _only(self.blend.own_attitude_event(event))
-            case OwnPosition():
-                return _only(self.blend.own_position_event(event))
-            case TankerState():
-                return _only(self.blend.tanker_event(event))
-            case Tick():
-                return self._tick(event)
-            case AutopilotStatus():
-                self.approach.status_event(event)
-            case OperatorCommand():
-                self.approach.command_event(event.command)
-            case Reject():
-                return [event]
-        return []
+        return self._handlers[type(event)](event)
 
     def _frame(self, frame: CameraFrame) -> list[Output]:
         prior = self.blend.prior(frame.t_ns)
@@ -95,3 +90,7 @@ class Pipeline:
 
 def _only(reject: Reject | None) -> list[Output]:
     return [] if reject is None else [reject]
+
+
+def _none(nothing: None) -> list[Output]:
+    return []
