@@ -18,6 +18,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+__all__ = ["MavlinkCodec", "Message", "checksum", "dialect"]
+
 Message = Any
 """A generated ``MAVLink_*_message``; pymavlink has no types that mypy could follow."""
 
