@@ -1,0 +1,141 @@
+"""Looking at a recording: the layout of the viewer, the viewer itself, and pictures of it without a screen."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import rerun.blueprint as rrb
+from rerun.experimental import ViewerClient
+
+from companion.config import ConfigError, WindowConfig
+
+APPLICATION_ID = "refuel-companion"
+LOOPBACK = "127.0.0.1"
+BACKGROUND = (28, 34, 44)
+
+
+def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
+    """Return the layout: scene and picture above, BR against the window below, phase and log at the foot."""
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=(-62.0, 48.0, -8.0), look_target=(-22.0, 0.0, 8.0), eye_up=(0.0, 0.0, -1.0)
+    )
+    scene = rrb.Spatial3DView(
+        origin="world",
+        name="Scene about the tanker",
+        contents=["+ $origin/**", "- /world/uav/camera/image/**"],
+        background=rrb.Background(color=BACKGROUND),
+        line_grid=False,
+        eye_controls=eye,
+    )
+    camera = rrb.Spatial2DView(origin="world/uav/camera", contents="world/uav/camera/image/**", name="Camera")
+    br = [
+        rrb.TimeSeriesView(
+            origin=f"plots/br/{axis}",
+            name=f"BR {axis}, m ({what})",
+            axis_y=rrb.ScalarAxis(range=(-1.5 * limit_m, 1.5 * limit_m), zoom_lock=False),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=axis == "x"),
+        )
+        for axis, what, limit_m in zip("xyz", ("forward", "right", "down"), window.limit_m, strict=True)
+    ]
+    more = rrb.Tabs(
+        rrb.TimeSeriesView(origin="plots/fusion", name="Fusion"),
+        rrb.TimeSeriesView(origin="plots/range", name="Range"),
+        rrb.TimeSeriesView(origin="plots/setpoint", name="Setpoint"),
+        rrb.TimeSeriesView(origin="plots/latency", name="Latency, ms"),
+    )
+    foot = rrb.Horizontal(
+        rrb.StateTimelineView(origin="phase", name="Phase"),
+        rrb.TextLogView(origin="log", name="Log"),
+        column_shares=[3, 2],
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(scene, camera, column_shares=[3, 2]),
+            rrb.Horizontal(*br, more),
+            foot,
+            row_shares=[5, 3, 1.4],
+        ),
+        rrb.TimePanel(state=rrb.components.PanelState.Collapsed, timeline="sim_time"),
+        rrb.BlueprintPanel(state=rrb.components.PanelState.Hidden),
+        rrb.SelectionPanel(state=rrb.components.PanelState.Hidden),
+    )
+
+
+def recordings(run_dir: Path | str) -> list[Path]:
+    """Return the .rrd files of a run; raises ConfigError when there is none."""
+    files = [f for name in ("flight.rrd", "truth.rrd") if (f := Path(run_dir) / name).is_file()]
+    if not files:
+        msg = f"{run_dir}: neither flight.rrd nor truth.rrd here; give a run folder"
+        raise ConfigError(msg)
+    return files
+
+
+def viewer_environment() -> dict[str, str]:
+    """Return the environment for the viewer: as ours, without its reports to its makers."""
+    return {**os.environ, "RERUN_ANALYTICS": "0"}
+
+
+def open_viewer(run_dir: Path | str) -> int:
+    """Open a run in the native viewer and wait until it is closed; return its exit code.
+
+    Without a display raises ConfigError that says how to look from a browser.
+    """
+    files = [str(f) for f in recordings(run_dir)]
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        web = f"rerun --bind {LOOPBACK} --web-viewer {' '.join(files)}"
+        msg = f"no display for the viewer; in a browser instead: {web}"
+        raise ConfigError(msg)
+    command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, "--port", "auto", *files]
+    return subprocess.run(command, env=viewer_environment(), check=False).returncode
+
+
+def screenshot(run_dir: Path | str, png: Path | str, time_s: float | None = None, size: str = "1600x900") -> None:
+    """Write a picture of the viewer at an instant of ``sim_time`` (the end by default), without a screen.
+
+    Needs a Vulkan driver; Mesa's software one will do (Debian: mesa-vulkan-drivers). Raises ConfigError when the
+    viewer does not come up.
+    """
+    files = [str(f) for f in recordings(run_dir)]
+    port = _free_port()
+    command = [sys.executable, "-m", "rerun", "--headless", "--bind", LOOPBACK, "--port", str(port)]
+    viewer = subprocess.Popen(
+        [*command, "--window-size", size, *files], env=viewer_environment(),
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        client = _connect(viewer, port)
+        if time_s is None:
+            client.set_time("sim_time", play_state="following")
+        else:
+            client.set_time("sim_time", duration=time_s, play_state="paused")
+        time.sleep(2.0)
+        client.save_screenshot(str(Path(png).resolve()))
+    finally:
+        viewer.terminate()
+        viewer.wait(timeout=10)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _connect(viewer: subprocess.Popen[bytes], port: int) -> ViewerClient:
+    for _ in range(60):
+        if viewer.poll() is not None:
+            break
+        try:
+            client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+            if client.get_state() is not None:
+                return client
+        except (RuntimeError, ConnectionError, OSError):
+            time.sleep(0.5)
+    msg = "the viewer did not come up; does this machine have a Vulkan driver (Debian: mesa-vulkan-drivers)?"
+    raise ConfigError(msg)

@@ -1,0 +1,198 @@
+"""An analytic flight for the recorder's tests: a cubic approach and a hold with small motion, no solver, no noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from companion.config import (
+    FIRMWARE_CONFIGS,
+    AirframeConfig,
+    AttitudeResponse,
+    CameraConfig,
+    CompanionConfig,
+    Setup,
+    TankerConfig,
+    TrimConfig,
+    load,
+)
+from companion.geometry import SE3, Mat, Vec, exp_so3, rotation_from_euler
+from companion.messages import (
+    CameraFrame,
+    Detections,
+    Event,
+    FusedPose,
+    GuidanceOutput,
+    Output,
+    OwnAttitude,
+    OwnPosition,
+    Phase,
+    PhaseChange,
+    PoseMeasurement,
+    Reject,
+    RelativeState,
+    Setpoint,
+    TankerState,
+    Tick,
+    VisionOutput,
+)
+from companion.vision.camera import T_frd_cam, project
+
+HEADING = 0.4
+SPEED_M_S = 206.0
+JOINED_S, ARRIVED_S, HOLD_FROM_S = 3.0, 28.0, 30.0
+START_MRF_M = np.array([-25.0, -20.0, 22.0])
+
+
+def synthetic_setup() -> Setup:
+    """The shipped camera and tanker with a receiver of plain numbers."""
+    airframe = AirframeConfig(
+        name="synthetic", receptacle_frd_m=(1.0, 0.0, -0.9), mass_kg=16000.0,
+        trim=TrimConfig(airspeed_m_s=SPEED_M_S, altitude_m=6000.0, alpha_rad=0.05, throttle=0.3, effectors=(0.3,) * 10),
+        response=AttitudeResponse(roll_rad_s=2.0, roll_damping=0.8, pitch_rad_s=2.0, pitch_damping=0.8,
+                                  thrust_lag_s=1.0, delay_s=0.05),
+        A=((0.0,) * 9,) * 9, B=((0.0,) * 10,) * 9,
+    )  # fmt: skip
+    return Setup(
+        config=CompanionConfig(camera="c.toml", tanker="t.toml", airframe="a.toml"),
+        camera=load(FIRMWARE_CONFIGS / "cameras/default.toml", CameraConfig),
+        tanker=load(FIRMWARE_CONFIGS / "tankers/kc135r.toml", TankerConfig),
+        airframe=airframe,
+    )
+
+
+class Flight:
+    """Poses of both aircraft as functions of time."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self.R_ned_mrf = rotation_from_euler(HEADING, 0.0, 0.0)
+        self.box = np.array(setup.tanker.box_tanker_m)
+        self.receptacle = np.array(setup.airframe.receptacle_frd_m)
+        self.T_frd_cam = T_frd_cam(setup.camera)
+
+    def reference(self, t: float) -> Vec:
+        """Path (3,) in mrf from the start to B."""
+        s = np.clip((t - JOINED_S) / (ARRIVED_S - JOINED_S), 0.0, 1.0)
+        return START_MRF_M * (1.0 - s * s * (3.0 - 2.0 * s))
+
+    def br(self, t: float) -> Vec:
+        """BR (3,) in mrf."""
+        sway = np.array([0.25 * np.sin(0.9 * t), 0.3 * np.sin(0.5 * t + 1.0), 0.2 * np.sin(0.7 * t)])
+        return self.reference(t) + sway
+
+    def tanker(self, t: float) -> SE3:
+        """T_ned_tanker."""
+        p_mrf = np.array([SPEED_M_S * t, 0.0, -6000.0])
+        R_mrf_tanker = rotation_from_euler(0.0, 0.03 + 0.004 * np.sin(0.4 * t), 0.01 * np.sin(0.6 * t))
+        return SE3(self.R_ned_mrf @ R_mrf_tanker, self.R_ned_mrf @ p_mrf)
+
+    def uav(self, t: float) -> SE3:
+        """T_ned_frd, such that the receptacle is at B + BR."""
+        T_ned_tanker = self.tanker(t)
+        R_ned_frd = self.R_ned_mrf @ rotation_from_euler(0.0, 0.05 + 0.01 * np.sin(0.8 * t), 0.05 * np.sin(0.5 * t))
+        receptacle = T_ned_tanker.transform(self.box) + self.R_ned_mrf @ self.br(t)
+        return SE3(R_ned_frd, receptacle - R_ned_frd @ self.receptacle)
+
+    def T_cam_tanker(self, t: float) -> SE3:
+        """Pose of the tanker in the camera."""
+        return (self.uav(t) @ self.T_frd_cam).inverse() @ self.tanker(t)
+
+    def picture(self, t: float) -> tuple[np.ndarray, Mat, np.ndarray]:
+        """Sky with red discs, their centres (n, 2) and which markers they are (n,)."""
+        c = self.setup.camera
+        sky = np.linspace(0.0, 1.0, c.height_px)[:, None, None] * np.array([40, 50, 30]) + np.array([110, 140, 190])
+        image = np.ascontiguousarray(np.broadcast_to(sky, (c.height_px, c.width_px, 3)).astype(np.uint8))
+        uv = project(c, self.T_cam_tanker(t), np.array([m.p_tanker_m for m in self.setup.tanker.markers]))
+        inside = np.flatnonzero(((uv > 2) & (uv < [c.width_px - 3, c.height_px - 3])).all(axis=1))
+        for u, v in uv[inside]:
+            cv2.circle(image, (round(16 * u), round(16 * v)), 16 * 2, (230, 30, 30), -1, cv2.LINE_AA, 4)
+        return image, uv[inside], inside
+
+
+def messages(setup: Setup, duration_s: float) -> Iterator[tuple[str, Event | Output]]:
+    """Yield ("in" or "out", message) of a whole flight in the order of time, at the rates of the real one."""
+    flight = Flight(setup)
+    phase = Phase.STANDBY
+    for k in range(round(duration_s * 100)):
+        t, t_ns = k * 0.01, k * 10_000_000
+        yield "in", OwnAttitude(t_ns, flight.uav(t).R, np.zeros(3))
+        if k % 2 == 0:
+            due = phase_at(t)
+            if due is not phase:
+                yield "out", PhaseChange(t_ns, phase, due, "by the clock")
+                phase = due
+            yield from guidance_step(flight, t_ns, phase)
+        if k % 5 == 0:
+            yield "in", OwnPosition(t_ns, flight.uav(t).t, flight.R_ned_mrf @ [SPEED_M_S, 0.0, 0.0])
+            yield from camera_step(flight, t_ns, k // 5)
+        if k % 4 == 0:
+            T = flight.tanker(t)
+            yield "in", TankerState(t_ns, T.t, flight.R_ned_mrf @ [SPEED_M_S, 0.0, 0.0], T.R, np.zeros(3))
+        if k % 310 == 0:
+            yield "in", Reject(t_ns, "datalink", "checksum", "frame of 55 bytes")
+
+
+def phase_at(t: float) -> Phase:
+    """The phases of the flight."""
+    if t < 1.0:
+        return Phase.STANDBY
+    return Phase.JOIN if t < JOINED_S else Phase.APPROACH if t < HOLD_FROM_S else Phase.HOLD
+
+
+def guidance_step(flight: Flight, t_ns: int, phase: Phase) -> Iterator[tuple[str, Event | Output]]:
+    """A tick, the estimate, what guidance made of it."""
+    t = t_ns / 1e9
+    T_cam_tanker, heading = flight.T_cam_tanker(t), HEADING
+    yield "in", Tick(t_ns)
+    yield "out", RelativeState(
+        t_ns, t_ns, flight.br(t) + 0.04 * np.sin(np.array([3.0, 4.0, 5.0]) * t), np.zeros(3), np.zeros(3),
+        np.array([SPEED_M_S, 0.0, 0.0]), flight.uav(t).R, np.zeros(3), heading, T_cam_tanker,
+        float(np.linalg.norm(T_cam_tanker.t)), weight(t), 8,
+    )  # fmt: skip
+    setpoint = Setpoint(t_ns, 0.05 * np.sin(0.5 * t), 0.05 + 0.01 * np.sin(0.8 * t), HEADING, 0.3)
+    reference = flight.reference(t)
+    yield "out", GuidanceOutput(t_ns, phase, reference, flight.br(t) - reference, np.zeros(3), setpoint)
+    yield "out", setpoint
+
+
+def camera_step(flight: Flight, t_ns: int, sequence: int) -> Iterator[tuple[str, Event | Output]]:
+    """A picture and what vision made of it; now and then a picture without a pose."""
+    t = t_ns / 1e9
+    image, uv, marker = flight.picture(t)
+    yield "in", CameraFrame(t_ns, sequence, image)
+    T = flight.T_cam_tanker(t)
+    markers = flight.setup.tanker.markers
+    labels = np.full(len(markers), -1)
+    labels[marker] = np.arange(len(marker))
+    pose = None if sequence % 50 == 49 else PoseMeasurement(t_ns, T, labels, len(marker), 5, 0.02, 1e-4)
+    reject = Reject(t_ns, "vision", "too_few_markers", "4 of 5") if pose is None else None
+    off = SE3(exp_so3(np.array([0.0, 0.003, 0.0])) @ T.R, T.t)
+    predicted = project(flight.setup.camera, off, np.array([m.p_tanker_m for m in markers]))
+    yield "out", VisionOutput(t_ns, sequence, Detections(t_ns, uv, np.full(len(uv), 12.0)), predicted, pose, reject)
+    yield "out", FusedPose(t_ns, T, T, weight(t), len(marker))
+
+
+def weight(t: float) -> float:
+    """Share of vision in the blend."""
+    return float(np.clip((t - 8.0) / 8.0, 0.0, 1.0))
+
+
+def record(recorder: object, setup: Setup, duration_s: float) -> None:
+    """Feed a whole flight to a recorder."""
+    for direction, message in messages(setup, duration_s):
+        (recorder.event if direction == "in" else recorder.output)(message)  # type: ignore[attr-defined]
+
+
+if __name__ == "__main__":
+    import sys
+
+    from companion.io.recorder import RunRecorder
+
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True)
+    with RunRecorder(folder, synthetic_setup()) as recorder:
+        record(recorder, recorder.setup, 60.0)
