@@ -183,7 +183,10 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
 
 
 class LinksConfig(Struct, frozen=True, kw_only=True):
-    """Where the other ends are. An empty ``datalink`` or ``camera`` means there is none."""
+    """Where the other ends are. An empty ``datalink`` or ``camera`` means there is none.
+
+    ``system_id`` is the vehicle's, ours and the autopilot's; commands are taken from it and from ``gcs_system_id``.
+    """
 
     mavlink: str = "udpin:127.0.0.1:14540"
     datalink: str = ""
@@ -191,6 +194,7 @@ class LinksConfig(Struct, frozen=True, kw_only=True):
     system_id: int = 1
     component_id: int = 191
     autopilot_component_id: int = 1
+    gcs_system_id: int = 255
 
 
 class RecorderConfig(Struct, frozen=True, kw_only=True):
