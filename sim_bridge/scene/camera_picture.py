@@ -1,0 +1,224 @@
+"""The picture that the receiver's camera takes of the tanker.
+
+Rules
+-----
+* Values are linear in radiance, in full scales of the sensor (a white sheet in the sun is about 0.9): a camera for
+  measuring, without a gamma curve. Lights may be brighter than one; the sensor clips them.
+* A light is a red sphere of radiance ``LIGHT`` = 4 full scales in the red channel. A sunlit white surface has about
+  30 kcd/m2, of which a fifth is red; four times that over the disc of a sphere of 10 cm radius is some 800 cd, an
+  aircraft's anti-collision light. Even spread over four pixels, as when the sphere measures 0.76 px in the 320x200
+  picture at 60 m, it exceeds the threshold of detection; nearer ones clip in their middle.
+* The lens spreads a point by a Gaussian of 0.5 px before the pixels integrate: with less, the centroid of a light that
+  is smaller than a pixel would not follow it. Everything else is softened by the supersampling alone.
+* The same generator state gives the same bits, with any number of threads.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from math import erf
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.config import CameraConfig, ConfigError, TankerConfig
+from companion.geometry import SE3, Mat, Vec
+from companion.vision.camera import T_frd_cam, normalised_to_pixels, pixels_to_normalised
+from sim_bridge.scene import rasterizer as kernels
+from sim_bridge.scene.meshing import Mesh, merge
+from sim_bridge.scene.sky import make_sky
+from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh
+from sim_bridge.truth import BoomState
+
+LIGHT = np.array([4.0, 0.12, 0.12])
+SPREAD_PX = 0.5
+NOISE = 1.2
+"""Standard deviation of the sensor's noise in steps of 1/255."""
+
+NOISE_OFFSETS = 65536
+FINE = 12
+"""Samples per pixel and axis of a sphere of up to FINE_RADIUS_PX; larger ones need fewer."""
+
+FINE_RADIUS_PX = 1.5
+SUN_NED = np.array([-0.45, 0.50, -0.74])
+SUNLIGHT = (0.62, 0.62, 0.60)
+FROM_ABOVE = (0.38, 0.44, 0.52)
+FROM_BELOW = (0.60, 0.64, 0.70)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spheres:
+    """Lights in one pinhole picture: centre and radius (n, 4), pixel bounds, samples per pixel, place in the mask."""
+
+    centres: Mat
+    box: NDArray[np.int32]
+    fine: NDArray[np.int32]
+    offset: NDArray[np.int32]
+    samples: int
+
+
+@lru_cache(maxsize=1)
+def scene_mesh() -> tuple[Mesh, NDArray[np.int32]]:
+    """Return tanker, boom and telescope as one mesh, and the part (0, 1, 2) of every vertex."""
+    parts = [tanker_mesh(), *boom_mesh()]
+    part = np.repeat(np.arange(3), [len(p.vertices) for p in parts]).astype(np.int32)
+    return merge(parts), part
+
+
+class Pinhole:
+    """The undistorted picture that is drawn first: the camera's own, or one wide enough to bend into the camera's."""
+
+    def __init__(self, camera: CameraConfig) -> None:
+        self.width, self.height = camera.width_px, camera.height_px
+        self.lens = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
+        self.maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+        if any(camera.distortion):
+            self._widen(camera)
+
+    def _widen(self, camera: CameraConfig) -> None:
+        """Find where every pixel of the distorted picture looks, and make room for it."""
+        u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
+        rays = pixels_to_normalised(camera, np.column_stack([u.ravel(), v.ravel()]))
+        if np.isnan(rays).any():
+            msg = f"camera {camera.name}: distortion has no inverse at the picture's corners; use smaller coefficients"
+            raise ConfigError(msg)
+        places = rays * self.lens[:2] + self.lens[2:]
+        low = np.floor(places.min(axis=0)) - 2
+        size = np.ceil(places.max(axis=0)) + 3 - low
+        if size[0] * size[1] > 16 * camera.width_px * camera.height_px:
+            msg = f"camera {camera.name}: distortion needs a 16 times larger picture; use smaller coefficients"
+            raise ConfigError(msg)
+        self.width, self.height = int(size[0]), int(size[1])
+        self.lens[2:] -= low
+        maps = (places - low).astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
+        self.maps = (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
+
+    def place_spheres(self, centres_cam: Mat, radius_m: float) -> Spheres:
+        """Bound the lights that are ahead of the camera; bounds are empty (1, 0) for what is not in the picture."""
+        n = len(centres_cam)
+        box = np.tile(np.array([1, 0, 1, 0], np.int32), (n, 1))
+        fine = np.ones(n, np.int32)
+        for i, c in enumerate(centres_cam):
+            if c[2] > radius_m + kernels.NEAR_M:
+                bounds = [
+                    sphere_bounds(c[k], c[2], radius_m, self.lens[k], self.lens[2 + k], (self.width, self.height)[k])
+                    for k in (0, 1)
+                ]
+                if all(low <= high for low, high in bounds):
+                    box[i] = [*bounds[0], *bounds[1]]
+                    fine[i] = FINE if radius_m * self.lens[0] / c[2] < FINE_RADIUS_PX else FINE // 3
+        sizes = (box[:, 1] - box[:, 0] + 1) * (box[:, 3] - box[:, 2] + 1) * fine * fine
+        offset = np.concatenate([[0], np.cumsum(sizes)])
+        spheres = np.column_stack([centres_cam, np.full(n, radius_m)])
+        return Spheres(spheres, box, fine, offset[:-1].astype(np.int32), int(offset[-1]))
+
+
+def sphere_bounds(across: float, ahead: float, radius: float, f_px: float, c_px: float, size: int) -> tuple[int, int]:
+    """Return the first and last pixel that a sphere's outline touches along one axis, cut to the picture."""
+    middle, half = np.arctan2(across, ahead), np.arcsin(min(1.0, radius / np.hypot(across, ahead)))
+    limit = 0.5 * np.pi - 1e-6
+    low = f_px * np.tan(max(middle - half, -limit)) + c_px
+    high = f_px * np.tan(min(middle + half, limit)) + c_px
+    return int(np.floor(max(low + 0.5, 0.0))), int(np.floor(min(high + 0.5, size - 1.0)))
+
+
+class CameraPicture:
+    """Draws what the camera sees; keep one per camera, its buffers are used again."""
+
+    def __init__(self, camera: CameraConfig, tanker: TankerConfig, rng: np.random.Generator, supersampling: int = 4,
+                 threads: int = 2) -> None:
+        """``rng`` shapes the sky and the sensor's noise; ``supersampling`` 3 or 4 samples per pixel and axis."""
+        self.camera, self.tanker, self.supersampling, self.threads = camera, tanker, supersampling, threads
+        self._rng = rng
+        self._pinhole = Pinhole(camera)
+        self._markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
+        self._sky = make_sky(rng)
+        size = camera.width_px * camera.height_px * 3
+        self._noise = np.clip(np.round(NOISE * rng.standard_normal(size + NOISE_OFFSETS)), -127, 127).astype(np.int8)
+        self._spread = point_spread()
+        self._pool = ThreadPoolExecutor(max_workers=max(1, threads - 1)) if threads > 1 else None
+        across, down = (-(-n // kernels.TILE) for n in (self._pinhole.width, self._pinhole.height))
+        tiles = np.arange(across * down, dtype=np.int32)
+        turn = (tiles % across + tiles // across) % threads
+        self._shares = [tiles[turn == k] for k in range(threads)]
+        self._grid = (across, down)
+        mesh, _ = scene_mesh()
+        self._xyz, self._rgb = np.empty_like(mesh.vertices), np.empty_like(mesh.vertices)
+        self._tri = np.empty((2 * len(mesh.triangles), kernels.COLUMNS))
+        self._box = np.empty((2 * len(mesh.triangles), 4), np.int32)
+
+    def render(self, T_ned_tanker: SE3, T_ned_frd: SE3, boom: BoomState) -> NDArray[np.uint8]:
+        """Return the picture (h, w, 3) uint8 RGB of the tanker from the camera on the receiver."""
+        T_ned_cam = T_ned_frd @ T_frd_cam(self.camera)
+        T_cam_tanker = T_ned_cam.inverse() @ T_ned_tanker
+        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._markers), self.tanker.marker_radius_m)
+        mask = np.zeros(spheres.samples, np.uint8)
+        picture = self._draw(T_ned_tanker, T_ned_cam, boom, spheres, mask)
+        if self._pinhole.maps is not None:
+            picture = cv2.remap(picture, *self._pinhole.maps, cv2.INTER_LINEAR)
+        self._add_lights(picture, spheres, mask)
+        start = int(self._rng.integers(NOISE_OFFSETS))
+        kernels.add_noise(picture.reshape(-1), self._noise[start:])
+        return picture
+
+    def _draw(self, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState, spheres: Spheres,
+              mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Draw airframe, boom and sky; fill ``mask`` with the samples of the lights that nothing hides."""
+        mesh, part = scene_mesh()
+        T_cam_ned = T_ned_cam.inverse()
+        T_ned_part = [T_ned_tanker, *(T_ned_tanker @ T for T in boom_poses(boom))]
+        T = np.stack([(T_cam_ned @ T_part).as_matrix()[:3] for T_part in T_ned_part])
+        R_ned = np.stack([T_part.R for T_part in T_ned_part])
+        light = np.array([SUN_NED / np.sqrt(SUN_NED @ SUN_NED), SUNLIGHT, FROM_ABOVE, FROM_BELOW])
+        kernels.light_vertices(mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, light, self._xyz, self._rgb)
+        ss, pinhole = self.supersampling, self._pinhole
+        lens = np.concatenate([pinhole.lens[:2] * ss, (pinhole.lens[2:] + 0.5) * ss - 0.5])
+        size = np.array([pinhole.width * ss, pinhole.height * ss], np.int32)
+        count = kernels.set_up_triangles(self._xyz, self._rgb, mesh.triangles, lens, size, self._tri, self._box)
+        starts, members = kernels.sort_into_tiles(self._box, count, kernels.TILE * ss, *self._grid)
+        picture = np.empty((pinhole.height, pinhole.width, 3), np.uint8)
+
+        def draw(share: NDArray[np.int32]) -> None:
+            kernels.draw_tiles(share, starts, members, self._tri, self._box, spheres.centres, spheres.box,
+                               spheres.offset, spheres.fine, mask, pinhole.lens, ss, self._sky, T_ned_cam.R, picture)
+
+        others = [self._pool.submit(draw, share) for share in self._shares[1:]] if self._pool else []
+        draw(self._shares[0])
+        for other in others:
+            other.result()
+        return picture
+
+    def _add_lights(self, picture: NDArray[np.uint8], spheres: Spheres, mask: NDArray[np.uint8]) -> None:
+        """Spread the visible samples of the lights by lens and distortion, and lay them over the picture."""
+        jacobian = np.stack([self._bend(c) for c in spheres.centres])
+        cover = np.zeros(picture.shape[:2], np.float32)
+        kernels.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, cover)
+        kernels.add_lights(picture, cover, LIGHT)
+
+    def _bend(self, centre_cam: Vec) -> Vec:
+        """Return how the lens moves pinhole pixels near a light, for ``rasterizer.spread_lights``."""
+        if centre_cam[2] <= 0:
+            return np.zeros(8)
+        lens = self._pinhole.lens
+        xy = centre_cam[:2] / centre_cam[2]
+        at = xy * lens[:2] + lens[2:]
+        if self._pinhole.maps is None:
+            return np.array([at[0], at[1], at[0], 1.0, 0.0, at[1], 0.0, 1.0])
+        right, down = np.diag(0.5 / lens[:2])
+        there = normalised_to_pixels(self.camera, np.stack([xy, xy + right, xy - right, xy + down, xy - down]))
+        if np.isnan(there).any():
+            return np.zeros(8)
+        by_x, by_y = there[1] - there[2], there[3] - there[4]
+        return np.array([at[0], at[1], there[0, 0], by_x[0], by_y[0], there[0, 1], by_x[1], by_y[1]])
+
+
+def point_spread(phases: int = 256) -> Mat:
+    """Return (phases, 5): shares of a point in a pixel at each phase that fall on it and two pixels to either side."""
+    at = (np.arange(phases) + 0.5) / phases
+    edges = np.arange(-2, 4)[None, :] - at[:, None]
+    below = np.vectorize(erf)(edges / (SPREAD_PX * np.sqrt(2.0)))
+    shares = np.diff(below, axis=1)
+    return shares / shares.sum(axis=1)[:, None]
