@@ -157,7 +157,7 @@ class Builders:
         vn, ve, vd = s.sample.v_ned_m_s
         altitude_m = self._origin.altitude_m - (s.p_ned_m[2] if s.p_ned_m else 0.0)
         return dialect.MAVLink_vfr_hud_message(
-            s.sample.airspeed_m_s, math.hypot(vn, ve), heading_cdeg(s.sample.euler_rad[0]) // 100,
+            s.sample.airspeed_m_s, math.hypot(vn, ve), round(math.degrees(s.sample.euler_rad[0])) % 360,
             round(100.0 * max(0.0, min(1.0, s.throttle))), altitude_m, -vd,
         )
 

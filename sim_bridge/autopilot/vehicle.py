@@ -121,11 +121,14 @@ class Vehicle:
 
     def outgoing(self, t_ns: int) -> bytes:
         """Return the frames that are due at ``t_ns``: answers first, then streams."""
+        due = self._timetable.due(t_ns) if self._seen is not None else []
+        if not due and not self._replies:
+            return b""
         messages, self._replies = self._replies, []
         snapshot = self._snapshot()
         if snapshot is not None:
-            built = (self._builders.by_id[message_id](snapshot) for message_id in self._timetable.due(t_ns))
-            messages.extend(message for message in built if message is not None)
+            built = [self._builders.by_id[message_id](snapshot) for message_id in due]
+            messages += [message for message in built if message is not None]
         return b"".join([self._codec.pack(message) for message in messages])
 
     def _snapshot(self) -> Snapshot | None:

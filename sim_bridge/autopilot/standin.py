@@ -1,0 +1,97 @@
+"""The stand-in autopilot and the tanker's reporter: sensors, navigation, vehicle and inner loops, put together."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from companion.config import AirframeConfig
+from companion.geometry import Vec, rotation_from_euler
+from companion.messages import TankerState
+from sim_bridge.autopilot.inner_loops import InnerLoops, Sensed
+from sim_bridge.autopilot.navigation import DeadReckoner
+from sim_bridge.autopilot.telemetry import Origin
+from sim_bridge.autopilot.vehicle import Vehicle
+from sim_bridge.sensors import GpsFix, GpsSensor, InertialSample, InertialSensor, Triple
+from sim_bridge.truth import BodyState
+
+
+class Navigation:
+    """Sensors of one aircraft and the position that follows from them."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        """Split the generator, so that inertial noise does not depend on how often GPS draws."""
+        inertial, gps = rng.spawn(2)
+        self._inertial = InertialSensor(inertial)
+        self._gps = GpsSensor(gps)
+        self._reckoner = DeadReckoner()
+
+    def measure(self, truth: BodyState) -> tuple[InertialSample, Triple | None, GpsFix | None]:
+        """Return the inertial sample, the position at its instant (None before the first fix), and a new fix."""
+        sample, fix = self._inertial.sample(truth), self._gps.sample(truth)
+        return sample, self._reckoner.update(sample, fix), fix
+
+
+class StandInAutopilot:
+    """The receiver's autopilot: truth and bytes in, effector commands and bytes out, every ``dt_s``."""
+
+    def __init__(
+        self, airframe: AirframeConfig, rng: np.random.Generator, *, dt_s: float = 0.005, origin: Origin | None = None
+    ) -> None:
+        """Build the autopilot of ``airframe``; ``rng`` is for its sensors alone."""
+        self.vehicle = Vehicle(airframe, dt_s=dt_s, origin=origin)
+        self._navigation = Navigation(rng)
+        self._loops = InnerLoops(airframe, dt_s)
+
+    @property
+    def rejects(self) -> Counter[str]:
+        """What the vehicle dropped, by reason."""
+        return self.vehicle.rejects
+
+    def feed(self, data: bytes, t_ns: int) -> None:
+        """Take MAVLink bytes that arrived at ``t_ns``."""
+        self.vehicle.feed(data, t_ns)
+
+    def step(self, truth: BodyState) -> Vec:
+        """Measure, decide and control once; return effector commands (10,) (``sim_bridge.truth.EFFECTORS``)."""
+        sample, p_ned_m, fix = self._navigation.measure(truth)
+        command = self.vehicle.step(sample, p_ned_m, fix)
+        sensed = Sensed(
+            sample.t_ns, rotation_from_euler(*sample.euler_rad), np.array(sample.omega_rad_s),
+            np.array(sample.v_ned_m_s),
+        )
+        if command is None:
+            effectors = self._loops.hold_step(sensed)
+        else:
+            effectors = self._loops.step(command.roll_rad, command.pitch_rad, command.thrust, sensed)
+        self.vehicle.throttle = float(effectors[0])
+        return effectors
+
+    def outgoing(self, t_ns: int) -> bytes:
+        """Return the MAVLink frames that are due at ``t_ns``."""
+        return self.vehicle.outgoing(t_ns)
+
+
+class TankerReporter:
+    """What the tanker tells over the datalink: its own sensors' state, at a fixed rate."""
+
+    def __init__(self, rng: np.random.Generator, rate_hz: float = 25.0) -> None:
+        """Report ``rate_hz`` times a second; ``rng`` is for the tanker's sensors alone."""
+        self._navigation = Navigation(rng)
+        self._period_ns = round(1e9 / rate_hz)
+        self._next_ns = 0
+
+    def step(self, truth: BodyState) -> TankerState | None:
+        """Measure once; return a state when one is due and the position is known."""
+        sample, p_ned_m, _ = self._navigation.measure(truth)
+        if p_ned_m is None or sample.t_ns < self._next_ns:
+            return None
+        self._next_ns = max(self._next_ns + self._period_ns, sample.t_ns)
+        return TankerState(
+            t_ns=sample.t_ns,
+            p_ned_m=np.array(p_ned_m),
+            v_ned_m_s=np.array(sample.v_ned_m_s),
+            R_ned_tanker=rotation_from_euler(*sample.euler_rad),
+            omega_tanker_rad_s=np.array(sample.omega_rad_s),
+        )

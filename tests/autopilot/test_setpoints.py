@@ -1,0 +1,103 @@
+"""The velocity loop against a point mass with the airframe's own slopes."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from level_flight import (
+    ALPHA_RAD,
+    LIFT_M_S2_RAD,
+    SPEED_M_S,
+    STEP_NS,
+    THROTTLE,
+    THRUST_M_S2,
+    Quiet,
+    airframe,
+    state_at,
+)
+
+from companion.config import ConfigError
+from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, VelocityCommand, VelocityLoop
+from sim_bridge.sensors import InertialSample, InertialSensor
+
+DT_S = STEP_NS * 1e-9
+
+
+def sample_of(t_ns: int, v_ned: np.ndarray) -> InertialSample:
+    base = InertialSensor(Quiet()).sample(state_at(t_ns))
+    speed = float(np.linalg.norm(v_ned))
+    return InertialSample(
+        t_ns, base.euler_rad, base.omega_rad_s, speed, ALPHA_RAD, 0.0, tuple(v_ned.tolist()), base.specific_force_m_s2,
+        speed,
+    )
+
+
+def fly(
+    command: VelocityCommand, duration_s: float, wind_lift_m_s2: float = 0.0, heading_rad: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fly a point mass from the origin; attitude and thrust follow with 0.2 and 0.4 s of lag. Return p and v."""
+    loop, p = VelocityLoop(airframe(), DT_S), np.zeros(3)
+    v = SPEED_M_S * np.array([math.cos(heading_rad), math.sin(heading_rad), 0.0])
+    roll, pitch, thrust = 0.0, ALPHA_RAD, THROTTLE
+    for k in range(round(duration_s / DT_S)):
+        c = loop.step(command, sample_of(k * STEP_NS, v), tuple(p.tolist()))
+        roll += DT_S / 0.2 * (c.roll_rad - roll)
+        pitch += DT_S / 0.2 * (c.pitch_rad - pitch)
+        thrust += DT_S / 0.4 * (c.thrust - thrust)
+        climb = math.atan2(-v[2], math.hypot(v[0], v[1]))
+        alpha = ALPHA_RAD + (pitch - climb - ALPHA_RAD * math.cos(roll)) / math.cos(roll)
+        lift = GRAVITY_M_S2 + LIFT_M_S2_RAD * (alpha - ALPHA_RAD) + wind_lift_m_s2
+        track = math.atan2(v[1], v[0])
+        along = THRUST_M_S2 * (thrust - THROTTLE) - GRAVITY_M_S2 * math.sin(climb)
+        right, down = lift * math.sin(roll), GRAVITY_M_S2 - lift * math.cos(roll)
+        a = np.array(
+            [along * math.cos(track) - right * math.sin(track), along * math.sin(track) + right * math.cos(track), down]
+        )
+        p, v = p + DT_S * (v + 0.5 * DT_S * a), v + DT_S * a
+    return p, v
+
+
+def test_level_flight_at_the_commanded_velocity_is_left_alone() -> None:
+    loop = VelocityLoop(airframe(), DT_S)
+    c = loop.step(VelocityCommand(0, (SPEED_M_S, 0.0, 0.0), None), sample_of(0, np.array([SPEED_M_S, 0, 0])), None)
+    assert (c.roll_rad, c.pitch_rad, c.thrust) == pytest.approx((0.0, ALPHA_RAD, THROTTLE), abs=1e-9)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 2.0, -1.2])
+def test_velocity_is_reached_at_any_heading(heading_rad: float) -> None:
+    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+    forward, right, down = SPEED_M_S + 2.0, 3.0, -1.5
+    wanted = (forward * cos - right * sin, forward * sin + right * cos, down)
+    _, v = fly(VelocityCommand(0, wanted, None), 60.0, heading_rad=heading_rad)
+    np.testing.assert_allclose(v, wanted, atol=0.1)
+
+
+@pytest.mark.parametrize("wind_lift_m_s2", [0.0, -0.5])
+def test_moving_point_is_met_and_a_steady_upset_is_taken_out(wind_lift_m_s2: float) -> None:
+    start, v_cmd, seconds = np.array([20.0, 15.0, -10.0]), np.array([SPEED_M_S, 0.0, 0.0]), 90.0
+    p, v = fly(VelocityCommand(0, tuple(v_cmd), tuple(start)), seconds, wind_lift_m_s2)
+    np.testing.assert_allclose(p, start + v_cmd * seconds, atol=0.5)
+    np.testing.assert_allclose(v, v_cmd, atol=0.2)
+
+
+def test_far_point_is_approached_no_faster_than_the_bound() -> None:
+    target = (1000.0, 0.0, 0.0)
+    _, v = fly(VelocityCommand(0, (SPEED_M_S, 0.0, 0.0), target), 40.0)
+    assert v[0] - SPEED_M_S == pytest.approx(VelocityLoop.MAX_CLOSURE_M_S, abs=0.5)
+
+
+def test_commands_stay_in_their_bounds_however_far_the_error() -> None:
+    loop = VelocityLoop(airframe(), DT_S)
+    for v in ((0.0, 200.0, -200.0), (500.0, -500.0, 500.0), (-100.0, 0.0, 0.0)):
+        for _ in range(2000):
+            c = loop.step(VelocityCommand(0, v, None), sample_of(0, np.array([SPEED_M_S, 0, 0])), None)
+        assert abs(c.roll_rad) <= VelocityLoop.MAX_ROLL_RAD
+        assert abs(c.pitch_rad - ALPHA_RAD) <= VelocityLoop.MAX_PITCH_OFFSET_RAD + 1e-12
+        assert 0.0 <= c.thrust <= 1.0
+
+
+def test_airframe_without_lift_is_refused() -> None:
+    dead = msgspec.structs.replace(airframe(), A=((0.0,) * 9,) * 9)
+    with pytest.raises(ConfigError, match=r"A\[1\]\[1\] must be negative"):
+        VelocityLoop(dead, DT_S)
