@@ -1,0 +1,189 @@
+"""One JSBSim aircraft behind SI units: the only file that knows JSBSim, feet and slugs.
+
+Rules
+-----
+* The step is set before the model is loaded: JSBSim discretises at load.
+* The ground is flat and does not turn (``aircraft/flat_earth.xml``), so that ``ned`` is the same everywhere and position is
+  the trapezoidal integral of ``v_ned``; JSBSim's own latitude and longitude are not used.
+* JSBSim says nothing when a state becomes NaN: ``step`` looks and raises ``PlantError``.
+* Inputs and gusts that are set act from the next ``step`` on: its forces are taken at the end of the step and move the
+  aircraft in the one after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jsbsim
+import numpy as np
+
+from companion.geometry import Mat
+from sim_bridge.truth import BodyState
+
+ROOT = Path(__file__).resolve().parent.parent / "aircraft"
+FT = 0.3048
+LBF = 4.4482216152605
+SLUG_FT3 = 515.3788183932
+"""kg/m3 in one slug per cubic foot."""
+
+STATE = (
+    "velocities/v-north-fps",
+    "velocities/v-east-fps",
+    "velocities/v-down-fps",
+    "attitude/phi-rad",
+    "attitude/theta-rad",
+    "attitude/psi-rad",
+    "velocities/p-rad_sec",
+    "velocities/q-rad_sec",
+    "velocities/r-rad_sec",
+)
+GUST = ("atmosphere/gust-north-fps", "atmosphere/gust-east-fps", "atmosphere/gust-down-fps")
+FORCE = ("forces/fbx-total-lbs", "forces/fby-total-lbs", "forces/fbz-total-lbs")
+V_AIR = ("velocities/u-aero-fps", "velocities/v-aero-fps", "velocities/w-aero-fps")
+UVW_DOT = ("accelerations/udot-ft_sec2", "accelerations/vdot-ft_sec2", "accelerations/wdot-ft_sec2")
+PQR_DOT = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
+
+
+class PlantError(RuntimeError):
+    """The simulated aircraft cannot go on: a state or command that is not a number, or a model that does not load."""
+
+
+@dataclass(frozen=True, slots=True)
+class InitialCondition:
+    """Where an aircraft starts: altitude of the origin is added to ``p_ned_m``; body velocity is inertial."""
+
+    p_ned_m: tuple[float, float, float]
+    v_body_m_s: tuple[float, float, float]
+    yaw_pitch_roll_rad: tuple[float, float, float]
+    omega_body_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Fdm:
+    """One aircraft; ``inputs`` names the properties that ``set_inputs`` writes, in that order."""
+
+    def __init__(self, model: str, inputs: Iterable[str], dt_s: float, origin_altitude_m: float) -> None:
+        """Load ``aircraft/<model>``; raises PlantError when it does not load."""
+        jsbsim.set_logger(jsbsim.DefaultLogger(jsbsim.LogLevel.WARN))
+        self._exec = jsbsim.FGFDMExec(str(ROOT))
+        self._exec.set_debug_level(0)
+        self.model = model
+        self._dt_s = dt_s
+        self._origin_altitude_m = origin_altitude_m
+        self._exec.set_dt(dt_s)
+        if not self._exec.load_planet(str(ROOT / "flat_earth.xml"), False) or not self._exec.load_model(model):
+            msg = f"JSBSim cannot load aircraft {model!r} from {ROOT}"
+            raise PlantError(msg)
+        self._set = tuple(self._node(name).set_double_value for name in inputs)
+        self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
+        self._get_state = tuple(self._node(name).get_double_value for name in STATE)
+        self._mass_kg = float(self._exec["inertia/mass-slugs"]) * LBF / FT
+        self.v_n = self.v_e = self.v_d = 0.0
+        self.roll = self.pitch = self.yaw = 0.0
+        self.p = self.q = self.r = 0.0
+        self.p_n = self.p_e = self.p_d = 0.0
+
+    def _node(self, name: str) -> jsbsim.FGPropertyNode:
+        node = self._exec.get_property_manager().get_node(name)
+        if node is None:
+            msg = f"aircraft {self.model!r} has no property {name!r}"
+            raise PlantError(msg)
+        return node
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the aircraft."""
+        return self._mass_kg
+
+    def reset(self, ic: InitialCondition) -> None:
+        """Put the aircraft at ``ic``; inputs keep their values. Raises PlantError when JSBSim refuses."""
+        ex = self._exec
+        ex["ic/lat-geod-deg"] = 0.0
+        ex["ic/long-gc-deg"] = 0.0
+        ex["ic/h-sl-ft"] = (self._origin_altitude_m - ic.p_ned_m[2]) / FT
+        yaw, pitch, roll = ic.yaw_pitch_roll_rad
+        ex["ic/phi-rad"], ex["ic/theta-rad"], ex["ic/psi-true-rad"] = roll, pitch, yaw
+        for name, value in zip(("ic/u-fps", "ic/v-fps", "ic/w-fps"), ic.v_body_m_s, strict=True):
+            ex[name] = value / FT
+        for name, value in zip(("ic/p-rad_sec", "ic/q-rad_sec", "ic/r-rad_sec"), ic.omega_body_rad_s, strict=True):
+            ex[name] = value
+        if not ex.run_ic():
+            msg = f"JSBSim cannot start aircraft {self.model!r} from {ic}"
+            raise PlantError(msg)
+        self.p_n, self.p_e, self.p_d = ic.p_ned_m
+        self._read()
+
+    def set_inputs(self, values: Iterable[float]) -> None:
+        """Write the inputs (JSBSim's units of each property)."""
+        for set_value, value in zip(self._set, values, strict=True):
+            set_value(value)
+
+    def set_gust(self, north_m_s: float, east_m_s: float, down_m_s: float) -> None:
+        """Set the velocity of the air."""
+        n, e, d = self._set_gust
+        n(north_m_s / FT)
+        e(east_m_s / FT)
+        d(down_m_s / FT)
+
+    def step(self) -> None:
+        """Advance one step; raises PlantError when a state is not finite."""
+        v_n, v_e, v_d = self.v_n, self.v_e, self.v_d
+        running = self._exec.run()
+        self._read()
+        half = 0.5 * self._dt_s
+        self.p_n += half * (v_n + self.v_n)
+        self.p_e += half * (v_e + self.v_e)
+        self.p_d += half * (v_d + self.v_d)
+        if not running:
+            msg = f"JSBSim stopped aircraft {self.model!r}"
+            raise PlantError(msg)
+
+    def _read(self) -> None:
+        v_n, v_e, v_d, self.roll, self.pitch, self.yaw, self.p, self.q, self.r = [get() for get in self._get_state]
+        self.v_n, self.v_e, self.v_d = v_n * FT, v_e * FT, v_d * FT
+        total = v_n + v_e + v_d + self.roll + self.pitch + self.yaw + self.p + self.q + self.r
+        if not math.isfinite(total):
+            msg = f"flight dynamics of {self.model!r} are no longer finite (not a number in the state)"
+            raise PlantError(msg)
+
+    def accelerations(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the rates of change of body velocity (m/s2, in turning axes) and of p, q, r (rad/s2)."""
+        u, v, w = (float(self._exec[name]) * FT for name in UVW_DOT)
+        p, q, r = (float(self._exec[name]) for name in PQR_DOT)
+        return (u, v, w), (p, q, r)
+
+    def rotation(self) -> Mat:
+        """Return ``R_ned_body``."""
+        cps, sps = math.cos(self.yaw), math.sin(self.yaw)
+        cth, sth = math.cos(self.pitch), math.sin(self.pitch)
+        cph, sph = math.cos(self.roll), math.sin(self.roll)
+        return np.array(
+            [
+                [cth * cps, sph * sth * cps - cph * sps, cph * sth * cps + sph * sps],
+                [cth * sps, sph * sth * sps + cph * cps, cph * sth * sps - sph * cps],
+                [-sth, sph * cth, cph * cth],
+            ]
+        )
+
+    def state(self, t_ns: int) -> BodyState:
+        """Return everything about this instant."""
+        get = self._exec.get_property_value
+        return BodyState(
+            t_ns=t_ns,
+            p_ned_m=np.array((self.p_n, self.p_e, self.p_d)),
+            v_ned_m_s=np.array((self.v_n, self.v_e, self.v_d)),
+            R_ned_body=self.rotation(),
+            omega_body_rad_s=np.array((self.p, self.q, self.r)),
+            specific_force_body_m_s2=np.array([get(name) * LBF / self._mass_kg for name in FORCE]),
+            v_air_body_m_s=np.array([get(name) * FT for name in V_AIR]),
+        )
+
+    def air_density_kg_m3(self) -> float:
+        """Return the density of the air at the aircraft."""
+        return float(self._exec["atmosphere/rho-slugs_ft3"]) * SLUG_FT3
+
+    def speed_of_sound_m_s(self) -> float:
+        """Return the speed of sound at the aircraft."""
+        return float(self._exec["atmosphere/a-fps"]) * FT

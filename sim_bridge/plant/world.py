@@ -1,0 +1,115 @@
+"""The outside world at 200 Hz: tanker, receiver, air, wake and boom, on one clock.
+
+``ned`` has its origin where the tanker's centre of mass starts, at 6000 m; the ground is flat (see ``plant.fdm``). One
+``step`` advances exactly ``dt_s``. The same generator gives the same flight, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.config import AirframeConfig, TankerConfig
+from companion.geometry import Vec
+from sim_bridge.plant.actuators import ActuatorConfig, Actuators
+from sim_bridge.plant.boom import nominal_boom
+from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
+from sim_bridge.plant.gusts import GustField
+from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
+from sim_bridge.plant.tanker import G, TankerAutopilot, trim_tanker
+from sim_bridge.plant.wake import Wake
+from sim_bridge.truth import EFFECTORS, Truth
+
+MACH = 0.65
+ALTITUDE_M = 6000.0
+WAKE_INPUTS = ("wake/dCD", "wake/dCL", "wake/dCm", "wake/dCl", "wake/dCn", "wake/dCY")
+UAV_INPUTS = (*(f"effector/{name}" for name in EFFECTORS), *WAKE_INPUTS)
+CALM_WAKE = (0.0,) * 6
+
+
+class World:
+    """Everything that the companion cannot know; ``truth`` tells it."""
+
+    def __init__(
+        self,
+        tanker: TankerConfig,
+        airframe: AirframeConfig,
+        start_tanker_m: tuple[float, float, float],
+        turbulence: str,
+        wake: bool,
+        rng: np.random.Generator,
+        heading_rad: float = 0.0,
+        dt_s: float = 0.005,
+        actuators: ActuatorConfig | None = None,
+    ) -> None:
+        """Put both aircraft into trimmed flight; ``start_tanker_m`` is the receiver's centre of mass in tanker axes.
+
+        Raises PlantError when an aircraft cannot be trimmed or loaded, ValueError for an unknown turbulence.
+        """
+        self._dt_ns = round(dt_s * 1e9)
+        self.t_ns = 0
+        self._cos, self._sin = math.cos(heading_rad), math.sin(heading_rad)
+        self._boom = nominal_boom(tanker.boom)
+        self._gusts = GustField(turbulence, rng)
+        self._tanker = Fdm("kc135r", TANKER_INPUTS, dt_s, ALTITUDE_M)
+        trim = trim_tanker(self._tanker, airframe.trim.airspeed_m_s, (0.0, 0.0, 0.0), heading_rad)
+        self._tanker_autopilot = TankerAutopilot(self._tanker, trim, heading_rad, 0.0, dt_s)
+        weight_n = self._tanker.mass_kg * G
+        self._wake = Wake(weight_n, self._tanker.air_density_kg_m3(), trim.speed_m_s) if wake else None
+        self._uav = Fdm("ice101", UAV_INPUTS, dt_s, ALTITUDE_M)
+        self._actuators = Actuators(np.array(airframe.trim.effectors), dt_s, actuators)
+        p_ned_m = self._tanker.rotation() @ np.asarray(start_tanker_m, dtype=np.float64)
+        self._start_uav(airframe, p_ned_m, heading_rad)
+        self._truth: Truth | None = None
+
+    def _start_uav(self, airframe: AirframeConfig, p_ned_m: Vec, heading_rad: float) -> None:
+        alpha, speed = airframe.trim.alpha_rad, airframe.trim.airspeed_m_s
+        self._uav.set_inputs((*self._actuators.position.tolist(), *CALM_WAKE))
+        n, e, d = p_ned_m.tolist()
+        self._uav.reset(
+            InitialCondition(
+                (n, e, d), (speed * math.cos(alpha), 0.0, speed * math.sin(alpha)), (heading_rad, alpha, 0.0)
+            )
+        )
+
+    @property
+    def truth(self) -> Truth:
+        """This instant, exactly; built when asked for."""
+        if self._truth is None:
+            self._truth = Truth(
+                t_ns=self.t_ns,
+                uav=self._uav.state(self.t_ns),
+                tanker=self._tanker.state(self.t_ns),
+                boom=self._boom,
+                uav_effectors=self._actuators.position.copy(),
+            )
+        return self._truth
+
+    def step(self, uav_effectors: Vec) -> None:
+        """Advance one step under commands (10,) for the effectors; raises PlantError when something is not finite."""
+        self._truth = None
+        if not self._actuators.step(uav_effectors):
+            msg = "an effector command is not a finite number"
+            raise PlantError(msg)
+        self._uav.set_inputs((*self._actuators.position.tolist(), *self._wake_increments()))
+        self._tanker_autopilot.step()
+        self._meet_gust(self._uav)
+        self._meet_gust(self._tanker)
+        self._uav.step()
+        self._tanker.step()
+        self.t_ns += self._dt_ns
+
+    def _meet_gust(self, aircraft: Fdm) -> None:
+        if self._gusts.calm:
+            return
+        u, v, w = self._gusts.at(aircraft.p_n * self._cos + aircraft.p_e * self._sin)
+        aircraft.set_gust(u * self._cos - v * self._sin, u * self._sin + v * self._cos, w)
+
+    def _wake_increments(self) -> tuple[float, ...]:
+        if self._wake is None:
+            return CALM_WAKE
+        tanker, uav = self._tanker, self._uav
+        north, east, down = uav.p_n - tanker.p_n, uav.p_e - tanker.p_e, uav.p_d - tanker.p_d
+        c, s = math.cos(tanker.yaw), math.sin(tanker.yaw)
+        return self._wake.increments(north * c + east * s, east * c - north * s, down)
