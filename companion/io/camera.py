@@ -18,6 +18,7 @@ w h 3  picture    RGB, 8 bits each
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 
@@ -29,6 +30,7 @@ from companion.messages import CameraFrame, Event, Reject
 from companion.ports import Clock, EventSource
 
 HEAD = struct.Struct("<4sHHH6xIq")
+ENDPOINT = re.compile(r"tcp://[^:/\s]+:(?P<port>\d{1,5})")
 MAGIC = b"RCFM"
 VERSION = 1
 SOURCE = "camera"
@@ -109,6 +111,7 @@ class ZmqCamera:
         self, endpoint: str, config: CameraConfig, clock: Clock, offset_ns: Callable[[], int | None]
     ) -> None:
         """Connect; raises ConfigError for an endpoint that cannot be."""
+        check_endpoint(endpoint)
         self.receiver = CameraReceiver(config)
         self._clock = clock
         self._offset_ns = offset_ns
@@ -145,6 +148,7 @@ class ZmqFrameSender:
 
     def __init__(self, endpoint: str) -> None:
         """Bind; raises ConfigError when the port is busy or the endpoint cannot be."""
+        check_endpoint(endpoint)
         self._context = zmq.Context(io_threads=1)
         self._socket = self._context.socket(zmq.PUB)
         self._socket.set(zmq.SNDHWM, 2)
@@ -175,3 +179,11 @@ def open_camera(
         return ZmqCamera(spec, config, clock, offset_ns)
     msg = f"camera '{spec}': unknown source; use tcp://HOST:PORT, as in tcp://127.0.0.1:5600"
     raise ConfigError(msg)
+
+
+def check_endpoint(endpoint: str) -> None:
+    """Raise ConfigError for what is no ``tcp://HOST:PORT``: the library would wait there for ever."""
+    match = ENDPOINT.fullmatch(endpoint)
+    if match is None or not 0 < int(match["port"]) < 65536:
+        msg = f"camera '{endpoint}': not tcp://HOST:PORT, as in tcp://127.0.0.1:5600"
+        raise ConfigError(msg)

@@ -226,7 +226,8 @@ def foreign(message: Message, now_ns: int) -> Reject | None:
 class MavlinkUdp:
     """The autopilot on a UDP socket: event source and setpoint sink.
 
-    Answers go back to whoever asked; everything else goes to the address from which the autopilot speaks. A second
+    Answers go back to whoever asked; everything else goes to the address from which the autopilot speaks, and nothing
+    leaves before it has spoken (a ``udpout`` link speaks first). A second
     address that claims to be the autopilot is not believed until the first has been silent for 3 s.
     """
 
@@ -243,11 +244,12 @@ class MavlinkUdp:
 
     def poll(self) -> list[Event]:
         """Return the events received since the last call, without waiting; send what is due."""
-        events: list[Event] = []
         now_ns = self._clock.now_ns()
+        events = self.link.receive(b"", now_ns)  # what has been refused since, even when nothing comes in
         for data, sender in self._transport.poll():
             events.extend(self._datagram(data, sender, now_ns))
-        self._transport.send(self.link.outgoing(now_ns))
+        if self._transport.peer is not None:
+            self._transport.send(self.link.outgoing(now_ns))
         return events
 
     def _datagram(self, data: bytes, sender: Address, now_ns: int) -> list[Event]:
@@ -263,12 +265,16 @@ class MavlinkUdp:
 
     def send(self, setpoint: Setpoint) -> None:
         """Send one setpoint; one that must not leave comes back as a Reject with the next ``poll``."""
+        if self._transport.peer is None:
+            return
         frame = self.link.encode_setpoint(setpoint, self._clock.now_ns())
         if frame is not None:
             self._transport.send(frame)
 
     def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         """Send a STATUSTEXT for the operator."""
+        if self._transport.peer is None:
+            return
         self._transport.send(self.link.encode_text(text, self._clock.now_ns(), severity))
 
     def close(self) -> None:
