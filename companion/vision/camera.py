@@ -101,6 +101,7 @@ def undistort(distortion: tuple[float, float, float, float, float], target: Mat)
 def distortion_reach_squared(distortion: tuple[float, float, float, float, float]) -> float:
     """Return the squared radius on z = 1 at which the radial polynomial stops growing; inf when it never does."""
     k1, k2, _, _, k3 = distortion
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
-    turning = [float(r.real) for r in roots if abs(float(r.imag)) < 1e-12 and float(r.real) > 0]
-    return min(turning, default=float("inf"))
+    # In w = 1 / s of the squared radius s the slope is a cubic that begins with one: no coefficient to divide by.
+    roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])
+    turning = [float(w.real) for w in roots if abs(float(w.imag)) < 1e-12 and float(w.real) > 1e-9]
+    return 1.0 / max(turning) if turning else float("inf")

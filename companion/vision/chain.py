@@ -9,7 +9,7 @@ reason                    meaning
 ``frame_size``            the picture is not (height, width, 3) of the camera's configuration, or not uint8
 ``prior_not_finite``      the prior pose has a NaN or an infinity
 ``few_markers``           fewer markers labelled than ``min_markers`` (thesis: 5 for LHM, 4 for GLSDC)
-``degenerate``            the solver refuses its input: markers or rays that do not fix a pose, a prior that is no rotation
+``degenerate``            the solver refuses: markers or rays that do not fix a pose, a prior that is no rotation
 ``not_converged``         the solver did not settle on a pose with all markers before the camera
 ``image_error``           the RMS image error of the pose is above ``max_image_error_px``
 ========================= ============================================================================================
@@ -27,7 +27,7 @@ from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.detection import detect_markers
 from companion.vision.glsdc import solve_glsdc
 from companion.vision.labeling import label_mutual_nearest
-from companion.vision.lhm import solve_lhm
+from companion.vision.lhm import rms_object_error, solve_lhm
 
 
 class VisionChain:
@@ -87,7 +87,7 @@ class VisionChain:
         used = np.flatnonzero(labels >= 0)
         uv = pixels_to_normalised(self.camera, detections.uv_px[labels[used]])
         reached = np.isfinite(uv).all(axis=1)  # a pixel beyond the reach of the distortion model has no ray
-        labels = np.where(np.isin(np.arange(len(labels)), used[reached]), labels, -1)
+        labels[used[~reached]] = -1
         used, uv = used[reached], uv[reached]
         if len(used) < self.config.min_markers:
             return "few_markers", f"{len(used)} of {self.config.min_markers}"
@@ -109,11 +109,3 @@ class VisionChain:
             return r.T_cam_tanker, r.iterations, r.object_error, r.image_error, r.converged
         g = solve_glsdc(points, uv, prior, c.glsdc_iterations)
         return g.T_cam_tanker, g.iterations, rms_object_error(points, uv, g.T_cam_tanker), g.image_error, g.converged
-
-
-def rms_object_error(points: Mat, uv: Mat, T_cam_tanker: SE3) -> float:
-    """Return the RMS distance in m of points (n, 3) from their lines of sight uv (n, 2) (thesis eq. 6.18)."""
-    q = T_cam_tanker.transform(points)
-    rays = np.column_stack([uv, np.ones(len(uv))])
-    off = np.cross(rays, q) / np.sqrt(np.einsum("ij,ij->i", rays, rays))[:, None]
-    return float(np.sqrt(np.einsum("ij,ij->", off, off) / len(points)))

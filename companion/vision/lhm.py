@@ -65,8 +65,8 @@ def solve_lhm(
     """Return the pose that brings markers (n, 3), m, tanker axes, nearest to their lines of sight (thesis eq. 6.18).
 
     ``uv`` (n, 2) are the markers seen on the plane z = 1, undistorted; n >= 3, though the thesis asks for 5 (6.3).
-    ``R_init`` is where R_cam_tanker starts, usually the last frame's; None starts from six rotations, among which is
-    the basin of the global minimum (``starts``). Iterates until the sum of squared errors is at most ``epsilon`` m^2
+    ``R_init`` is where R_cam_tanker starts, usually the last frame's; None starts from several rotations and keeps the
+    best (``cold``). Iterates until the sum of squared errors is at most ``epsilon`` m^2
     or changes by a fraction of at most ``tol`` (thesis 6.3). ``method`` svd takes the rotation of the guarded SVD, by
     its closed form; quaternion takes Horn's.
 
@@ -96,35 +96,39 @@ def check_points(points: Mat, uv: Mat) -> None:
         raise ValueError(msg)
 
 
-Iterated = tuple[int, Mat, Vec, int, float, float, bool]
+Iterated = tuple[int, Mat, Vec, int, float, float, bool, bool]
 
 
 def unpack(n: int, iterated: Iterated) -> LhmResult:
     """Turn what ``iterate`` returns into a result or into a ValueError."""
-    status, R, t, iterations, squared_object, squared_image, converged = iterated
+    status, R, t, iterations, squared_object, squared_image, settled, ahead = iterated
     if status != OK:
         raise ValueError(COMPLAINTS[status])
-    return LhmResult(SE3(R, t), iterations, (squared_object / n) ** 0.5, (squared_image / n) ** 0.5, converged)
+    errors = (squared_object / n) ** 0.5, (squared_image / n) ** 0.5
+    return LhmResult(SE3(R, t), iterations, *errors, settled and ahead)
 
 
 def cold(points: Mat, uv: Mat, tol: float, epsilon: float, method: int) -> LhmResult:
-    """Iterate from every start and return the lowest error, poses with all markers before the camera first."""
-    results = [unpack(len(points), iterate(points, uv, R0, tol, epsilon, method)) for R0 in starts(points, uv)]
-    return min(results, key=lambda r: (not r.converged, r.object_error))
+    """Iterate from several starts and return the lowest error, poses with all markers before the camera first.
 
-
-def starts(points: Mat, uv: Mat) -> list[Mat]:
-    """Return six rotations (3, 3), of which at least one leads to the global minimum in all scenes that were tried.
-
-    E = r^T Omega r on rotations, with Omega = S2/3 I - H; the proper rotations nearest to plus and minus the three
-    eigenvectors of Omega with the smallest eigenvalues. The idea of these starts is SQPnP's (Terzakis, Lourakis 2020).
+    E = r^T Omega r for any r, with Omega = diag(S, S, S) - H and S the scatter matrix of the points. Starts are the
+    proper rotations nearest to plus and minus an eigenvector of Omega, smallest eigenvalue first: the idea of SQPnP
+    (Terzakis, Lourakis 2020). Three eigenvectors are always tried, further ones while the best error is above what
+    theirs could be, 3 times the eigenvalue.
     """
-    status, H, _, _, _, _, _ = fold(points, uv)
+    status, H, _, _, _, p, _ = fold(points, uv)
     if status != OK:
         raise ValueError(COMPLAINTS[status])
-    _, vectors = np.linalg.eigh(0.5 * (H + H.T))
-    axes = [np.ascontiguousarray(vectors[:, -1 - i]).reshape(3, 3) for i in range(3)]
-    return [rotation_svd(sign * axis) for axis in axes for sign in (1.0, -1.0)]
+    values, vectors = np.linalg.eigh(np.kron(np.eye(3), p.T @ p) - 0.5 * (H + H.T))
+    best: Iterated | None = None
+    for k in range(9):
+        if k >= 3 and best is not None and best[7] and best[4] <= 3.0 * values[k]:
+            break
+        axis = np.ascontiguousarray(vectors[:, k]).reshape(3, 3)
+        tries = [iterate(points, uv, rotation_svd(sign * axis), tol, epsilon, method) for sign in (1.0, -1.0)]
+        best = min(tries if best is None else [best, *tries], key=lambda it: (not it[7], it[4]))
+    assert best is not None
+    return unpack(len(points), best)
 
 
 def weak_perspective_rotation(points_tanker: Mat, uv: Mat) -> Mat:
@@ -134,6 +138,14 @@ def weak_perspective_rotation(points_tanker: Mat, uv: Mat) -> Mat:
     """
     q = np.column_stack([uv, np.ones(len(uv))])
     return rotation_svd(np.ascontiguousarray((q - q.mean(axis=0)).T @ (points_tanker - points_tanker.mean(axis=0))))
+
+
+def rms_object_error(points: Mat, uv: Mat, T_cam_tanker: SE3) -> float:
+    """Return the RMS distance in m of points (n, 3) from their lines of sight uv (n, 2) (thesis eq. 6.18)."""
+    q = T_cam_tanker.transform(points)
+    rays = np.column_stack([uv, np.ones(len(uv))])
+    off = np.cross(rays, q) / np.sqrt(np.einsum("ij,ij->i", rays, rays))[:, None]
+    return float(np.sqrt(np.einsum("ij,ij->", off, off) / len(points)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -275,7 +287,7 @@ def is_rotation(R: Mat) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def iterate(points: Mat, uv: Mat, R0: Mat, tol: float, epsilon: float, method: int) -> Iterated:
-    """Iterate from R0: (status, R, t, iterations, squared object error, squared image error, converged)."""
+    """Iterate from R0: (status, R, t, iterations, squared object error, squared image error, settled, ahead)."""
     R, t = R0.copy(), np.zeros(3)
     status, H, T, mean, S2, p, v = fold(points, uv)
     if status == OK and not np.isfinite(R0.sum()):
@@ -283,7 +295,7 @@ def iterate(points: Mat, uv: Mat, R0: Mat, tol: float, epsilon: float, method: i
     if status == OK and not is_rotation(R0):
         status = NOT_A_ROTATION
     if status != OK:
-        return status, R, t, 0, np.nan, np.nan, False
+        return status, R, t, 0, np.nan, np.nan, False, False
     r, m = R.reshape(9), np.empty(9)
     old = object_error(H, T, S2, p, v, r, m)
     rotation_step(m, r, method)
@@ -294,14 +306,14 @@ def iterate(points: Mat, uv: Mat, R0: Mat, tol: float, epsilon: float, method: i
         rotation_step(m, r, method)
         new = object_error(H, T, S2, p, v, r, m)
         iterations += 1
-    converged = not (abs(old - new) > tol * old and new > epsilon)
+    settled = not (abs(old - new) > tol * old and new > epsilon)
     t[:] = T @ r
-    image = 0.0
+    image, ahead = 0.0, True
     for i in range(p.shape[0]):
         x = r[0] * p[i, 0] + r[1] * p[i, 1] + r[2] * p[i, 2] + t[0]
         y = r[3] * p[i, 0] + r[4] * p[i, 1] + r[5] * p[i, 2] + t[1]
         z = r[6] * p[i, 0] + r[7] * p[i, 1] + r[8] * p[i, 2] + t[2]
-        converged = converged and z > 0.0
+        ahead = ahead and z > 0.0
         image += (x / z - uv[i, 0]) ** 2 + (y / z - uv[i, 1]) ** 2
     t -= R @ mean
-    return status, R, t, iterations, new, image, converged
+    return status, R, t, iterations, new, image, settled, ahead
