@@ -157,8 +157,8 @@ class LawWeights(Struct, frozen=True, kw_only=True):
     int_y: float = 0.05
     int_z: float = 0.05
     roll: float = 100.0
-    pitch: float = 2000.0
-    thrust: float = 20.0
+    pitch: float = 800.0
+    thrust: float = 2.0
 
 
 class GuidanceConfig(Struct, frozen=True, kw_only=True):
@@ -186,6 +186,7 @@ class LinksConfig(Struct, frozen=True, kw_only=True):
     """Where the other ends are. An empty ``datalink`` or ``camera`` means there is none.
 
     ``system_id`` is the vehicle's, ours and the autopilot's; commands are taken from it and from ``gcs_system_id``.
+    ``origin_altitude_m`` is the height at which the down axis of ``ned`` is zero for both aircraft.
     """
 
     mavlink: str = "udpin:127.0.0.1:14540"
@@ -194,6 +195,7 @@ class LinksConfig(Struct, frozen=True, kw_only=True):
     system_id: int = 1
     component_id: int = 191
     autopilot_component_id: int = 1
+    origin_altitude_m: float = 6000.0
     gcs_system_id: int = 255
 
 

@@ -73,12 +73,7 @@ class Pipeline:
         self._mark("vision")
         fused = self.blend.update(frame.t_ns, seen.pose)
         self._mark("fusion")
-        outputs: list[Output] = [seen]
-        if seen.reject is not None:
-            outputs.append(seen.reject)
-        if fused is not None:
-            outputs.append(fused)
-        return outputs
+        return [seen] if fused is None else [seen, fused]
 
     def _tick(self, tick: Tick) -> list[Output]:
         state = self.relative.at(tick.t_ns)

@@ -1,0 +1,89 @@
+"""Command line of the companion.
+
+Exit codes: 0 done, 2 bad input (one line on stderr says what to mend), 130 interrupted before engaging.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from companion import __version__, app
+from companion.config import CompanionConfig, ConfigError, assemble, load
+from companion.io.recorder import newest_run
+from companion.io.rerun_view import open_viewer, screenshot
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line."""
+    p = argparse.ArgumentParser(prog="companion", description="Brings a receiver into a tanker's refuelling window.")
+    p.add_argument("--version", action="version", version=__version__)
+    commands = p.add_subparsers(dest="command", required=True)
+
+    run = commands.add_parser("run", help="run the service against an autopilot, a datalink and a camera")
+    run.add_argument("config", metavar="CONFIG.toml", help="e.g. firmware_configs/sitl/docking.toml")
+    run.add_argument("--mavlink", metavar="URL", help="autopilot, e.g. udpin:127.0.0.1:14540")
+    run.add_argument("--datalink", metavar="DEVICE,BAUD", help="tanker's serial line, e.g. /dev/ttyUSB0,19600")
+    run.add_argument("--camera", metavar="SOURCE", help="frame socket, e.g. tcp://127.0.0.1:14560")
+    run.add_argument("--pose", choices=("lhm", "glsdc"), help="pose solver")
+    run.add_argument("--out", metavar="DIR", help="folder for recordings")
+    run.add_argument("--run-dir", metavar="DIR", help=argparse.SUPPRESS)
+    run.add_argument("--stop-after-hold", type=float, metavar="S", help="end after so many seconds of hold")
+    run.set_defaults(action=_run)
+
+    view = commands.add_parser("view", help="open a recording in the Rerun viewer")
+    view.add_argument("run", nargs="?", metavar="RUN_DIR", help="a run folder; without it the newest of runs/")
+    view.add_argument("--screenshot", metavar="PNG", help="draw the viewer to a picture instead of opening a window")
+    view.set_defaults(action=_view)
+    return p
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Parse and run; bad input ends in one line on stderr and exit code 2."""
+    arguments = parser().parse_args(argv)
+    action: Callable[[argparse.Namespace], int] = arguments.action
+    try:
+        return action(arguments)
+    except ConfigError as error:
+        print(f"companion: {error}", file=sys.stderr)
+        return 2
+
+
+def _run(a: argparse.Namespace) -> int:
+    path = Path(a.config)
+    setup = assemble(_with_options(load(path, CompanionConfig), a), path.parent)
+    options = app.RunOptions(
+        name=path.stem, run_dir=Path(a.run_dir) if a.run_dir else None, stop_after_hold_s=a.stop_after_hold
+    )
+    return app.run(setup, options)
+
+
+def _with_options(config: CompanionConfig, a: argparse.Namespace) -> CompanionConfig:
+    """Return the configuration with what the command line says in place."""
+    given = {k: getattr(a, k) for k in ("mavlink", "datalink", "camera") if getattr(a, k) is not None}
+    replace = msgspec.structs.replace
+    config = replace(config, links=replace(config.links, **given))
+    if a.out is not None:
+        config = replace(config, recorder=replace(config.recorder, out=a.out))
+    if a.pose is not None:
+        config = replace(config, vision=replace(config.vision, solver=a.pose))
+    return config
+
+
+def _view(a: argparse.Namespace) -> int:
+    folder = Path(a.run) if a.run else newest_run("runs")
+    if not (folder / "flight.rrd").is_file():
+        msg = f"{folder}: no flight.rrd in it; give a run folder such as runs/20260101T120000Z-docking"
+        raise ConfigError(msg)
+    if a.screenshot:
+        screenshot(folder, Path(a.screenshot))
+        return 0
+    return open_viewer(folder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""The simulation on the wall clock, behind real wires: MAVLink over UDP, the tanker on a pty, pictures on a socket.
+
+The clock starts when a companion answers, so that it may take its time to start. A machine that is too slow stretches
+simulated time rather than skipping steps; how often a step began late is counted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from companion.config import ConfigError, Setup
+from companion.io.camera import ZmqFrameSender
+from companion.io.mavlink import MavlinkCodec, dialect
+from companion.io.transport import UdpTransport
+from sim_bridge.datalink import PtyLink
+from sim_bridge.plant.fdm import PlantError
+from sim_bridge.scenario import Scenario
+from sim_bridge.simulation import STEP_NS, TRUTH_EVERY, Simulation
+from sim_bridge.truth import Truth
+
+LATE_NS = 2 * STEP_NS
+CALL_NS = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """How the serving went: simulated seconds, steps that began late, what the plant failed of."""
+
+    flown_s: float
+    late_steps: int
+    plant_failure: str | None
+
+
+class PtyLine:
+    """A ``PtyLink`` as the simulation's serial line: what is due goes out on the pty."""
+
+    def __init__(self, pty: PtyLink) -> None:
+        self._pty = pty
+
+    def write(self, data: bytes, now_ns: int) -> bool:
+        """Hand a frame to the line."""
+        return self._pty.write(data, now_ns)
+
+    def due(self, now_ns: int) -> bytes:
+        """Let the due bytes out on the pty."""
+        self._pty.pump(now_ns)
+        return b""
+
+
+def companion_end(url: str) -> str:
+    """Return the URL that reaches a companion listening at ``url``."""
+    kind, _, rest = url.partition(":")
+    if kind != "udpin":
+        msg = f"mavlink '{url}': the simulator calls a companion that listens; use udpin:HOST:PORT"
+        raise ConfigError(msg)
+    return f"udpout:{rest}"
+
+
+def wait_for_companion(transport: UdpTransport, stop: Callable[[], bool]) -> bool:
+    """Send heartbeats until anybody answers; False when ``stop`` came first."""
+    codec = MavlinkCodec(1, 1)
+    call_ns = 0
+    while not stop():
+        if transport.poll():
+            return True
+        now_ns = time.monotonic_ns()
+        if now_ns >= call_ns:
+            call_ns = now_ns + CALL_NS
+            transport.send(codec.pack(dialect.MAVLink_heartbeat_message(
+                dialect.MAV_TYPE_FIXED_WING, dialect.MAV_AUTOPILOT_GENERIC, 0, 0, dialect.MAV_STATE_BOOT, 3)))
+        time.sleep(0.01)
+    return False
+
+
+def serve(
+    scenario: Scenario, setup: Setup, stop: Callable[[], bool], see: Callable[[Truth], None],
+    started: Callable[[], None] | None = None,
+) -> Served:
+    """Serve one flight until ``stop``; ``see`` takes the truth at 50 Hz. Raises ConfigError when a wire is not free."""
+    links = setup.config.links
+    with ExitStack() as stack:
+        transport = UdpTransport("mavlink", companion_end(links.mavlink))
+        stack.callback(transport.close)
+        pty = PtyLink(scenario.datalink.rate_baud, links.datalink.rpartition(",")[0])
+        stack.callback(pty.close)
+        camera = ZmqFrameSender(links.camera)
+        stack.callback(camera.close)
+        executor = stack.enter_context(ThreadPoolExecutor(1))
+        simulation = Simulation(scenario, setup, PtyLine(pty), executor)
+        if not wait_for_companion(transport, stop):
+            return Served(0.0, 0, None)
+        if started is not None:
+            started()
+        return _pace(simulation, transport, camera, stop, see)
+
+
+def _pace(
+    simulation: Simulation, transport: UdpTransport, camera: ZmqFrameSender, stop: Callable[[], bool],
+    see: Callable[[Truth], None],
+) -> Served:
+    next_ns = time.monotonic_ns()
+    step = late = 0
+    while not stop():
+        behind_ns = time.monotonic_ns() - next_ns
+        if behind_ns < 0:
+            time.sleep(-behind_ns * 1e-9)
+        elif behind_ns > LATE_NS:
+            late += 1
+            next_ns += behind_ns - LATE_NS  # stretch: never a burst of steps to catch up
+        next_ns += STEP_NS
+        for data, _ in transport.poll():
+            simulation.feed_mavlink(data)
+        if step % TRUTH_EVERY == 0:
+            see(simulation.truth)
+        try:
+            arrivals = simulation.step()
+        except PlantError as error:
+            return Served(simulation.truth.t_ns * 1e-9, late, str(error))
+        transport.send(arrivals.mavlink)
+        for frame in arrivals.frames:
+            camera.send(frame)
+        step += 1
+    return Served(step * STEP_NS * 1e-9, late, None)

@@ -1,0 +1,153 @@
+"""The world outside the companion, stepped in simulated time: the same for lockstep and for the wall clock.
+
+One step is 5 ms. At its instant t: sensors and autopilot see the truth of t, the camera exposes if it is due, the
+tanker reports if it is due; then the plant moves on to t + 5 ms. What would be on the wires comes back as bytes and
+pictures, at the instant at which it would arrive.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.config import Setup
+from companion.geometry import Vec, rotation_from_euler
+from companion.io.datalink import encode_frame
+from companion.messages import CameraFrame
+from sim_bridge.autopilot import StandInAutopilot, TankerReporter
+from sim_bridge.datalink import SerialPacer
+from sim_bridge.plant.world import World
+from sim_bridge.scenario import Scenario
+from sim_bridge.scene.camera_picture import CameraPicture
+from sim_bridge.truth import Truth
+
+STEP_NS = 5_000_000
+TRUTH_EVERY = 4  # steps: 50 Hz
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrivals:
+    """What reaches the companion at ``t_ns``: bytes of both links, pictures."""
+
+    t_ns: int
+    mavlink: bytes
+    datalink: bytes
+    frames: list[CameraFrame]
+
+
+class SerialLine(Protocol):
+    """The tanker's serial line: a ``SerialPacer`` in lockstep, a pty on the wall clock."""
+
+    def write(self, data: bytes, now_ns: int) -> bool:
+        """Hand a frame to the line."""
+
+    def due(self, now_ns: int) -> bytes:
+        """Return the bytes that have come out at the other end; nothing when they went out by another way."""
+
+
+class Camera:
+    """Exposes at its rate, delivers after its latency.
+
+    With an ``executor`` pictures are drawn beside the simulation, and one that is not ready in time is delivered late;
+    without one they are drawn at once.
+    """
+
+    def __init__(self, setup: Setup, rng: np.random.Generator, executor: Executor | None = None) -> None:
+        camera = setup.camera
+        self._picture = CameraPicture(camera, setup.tanker, rng)
+        self._period_ns = round(1e9 / camera.rate_hz)
+        self._latency_ns = round(camera.latency_s * 1e9)
+        self._next_ns = 0
+        self._sequence = 0
+        self._executor = executor
+        self._under_way: deque[tuple[int, int, Future[NDArray[np.uint8]]]] = deque()
+
+    def expose(self, truth: Truth) -> None:
+        """Take a picture if one is due."""
+        if truth.t_ns < self._next_ns:
+            return
+        self._next_ns += self._period_ns
+        pose = (truth.tanker.T_ned_body(), truth.uav.T_ned_body(), truth.boom)
+        if self._executor is not None:
+            picture = self._executor.submit(self._picture.render, *pose)
+        else:
+            picture = Future()
+            picture.set_result(self._picture.render(*pose))
+        self._under_way.append((truth.t_ns, self._sequence, picture))
+        self._sequence += 1
+
+    def delivered(self, t_ns: int) -> list[CameraFrame]:
+        """Return the pictures that have arrived by ``t_ns``, in the order of their exposure."""
+        frames = []
+        while self._under_way:
+            exposed_ns, sequence, picture = self._under_way[0]
+            if exposed_ns + self._latency_ns > t_ns or not picture.done():
+                break
+            self._under_way.popleft()
+            frames.append(CameraFrame(exposed_ns, sequence, picture.result()))
+        return frames
+
+
+class Simulation:
+    """Aircraft, weather, sensors, camera, autopilot and datalink of one scenario."""
+
+    def __init__(
+        self, scenario: Scenario, setup: Setup, serial: SerialLine | None = None, executor: Executor | None = None
+    ) -> None:
+        """Put everything at its start; ``serial`` and ``executor`` are what the wall clock needs (see ``serve``)."""
+        # One stream of chance for each thing that draws, so that a change in one leaves the others as they were.
+        seeds = np.random.SeedSequence(scenario.seed).spawn(4)
+        gust, own, tanker, camera = (np.random.default_rng(s) for s in seeds)
+        self.world = World(
+            setup.tanker, setup.airframe, np.array(scenario.start_tanker_m), scenario.turbulence, scenario.wake, gust,
+            scenario.heading_rad,
+        )
+        self.autopilot = StandInAutopilot(setup.airframe, own)
+        self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz)
+        self._origin_altitude_m = setup.config.links.origin_altitude_m
+        self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
+        self._camera = Camera(setup, camera, executor)
+
+    @property
+    def truth(self) -> Truth:
+        """Return the truth of the present instant."""
+        return self.world.truth
+
+    def feed_mavlink(self, data: bytes) -> None:
+        """Give the autopilot bytes from the companion."""
+        self.autopilot.feed(data, self.truth.t_ns)
+
+    def step(self) -> Arrivals:
+        """Run one step; return what arrives at the companion at its instant."""
+        truth = self.truth
+        t_ns = truth.t_ns
+        effectors = self.autopilot.step(truth.uav)
+        state = self._reporter.step(truth.tanker)
+        if state is not None:
+            self._serial.write(encode_frame(state, self._origin_altitude_m), t_ns)
+        self._camera.expose(truth)
+        arrivals = Arrivals(
+            t_ns, self.autopilot.outgoing(t_ns), self._serial.due(t_ns), self._camera.delivered(t_ns)
+        )
+        self.world.step(effectors)
+        return arrivals
+
+
+class BoxTruth:
+    """True BR, the receptacle against the box, in the psi frame: what flights are scored on."""
+
+    def __init__(self, setup: Setup, heading_rad: float) -> None:
+        self._box_tanker_m = np.array(setup.tanker.box_tanker_m)
+        self._receptacle_frd_m = np.array(setup.airframe.receptacle_frd_m)
+        self._R_mrf_ned = rotation_from_euler(heading_rad, 0.0, 0.0).T
+
+    def p_mrf_br_m(self, truth: Truth) -> Vec:
+        """Return BR (3,) at the instant of ``truth``."""
+        receptacle = truth.uav.T_ned_body().transform(self._receptacle_frd_m)
+        box = truth.tanker.T_ned_body().transform(self._box_tanker_m)
+        return self._R_mrf_ned @ (receptacle - box)
