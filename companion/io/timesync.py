@@ -5,7 +5,8 @@ A request leaves at ``ts1`` on our clock and comes back at ``now`` with the auto
     offset = tc1 - (ts1 + now) / 2,   |error| <= (now - ts1) / 2
 
 and the sample with the shortest way there and back binds the offset best. Samples live for a few seconds only, because
-two crystals drift apart by some 10 us a second.
+two crystals drift apart by some 10 us a second. Once it has settled the offset creeps instead of stepping: two
+positions are differenced whose stamps may lie on both sides of a step, and at 206 m/s 1 ms is 0.2 m.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from dataclasses import dataclass
 WINDOW_NS = 10_000_000_000
 MAX_ROUND_TRIP_NS = 200_000_000
 JUMP_MARGIN_NS = 1_000_000
+SETTLED_COUNT = 20
+CREEP_NS = 100_000
+"""Most that one sample moves a settled offset: at one sample a second, ten times what crystals drift apart."""
 WRAP_MS = 1 << 32
 
 
@@ -37,6 +41,7 @@ class ClockOffset:
         self.jumps = 0
         self._sent: deque[int] = deque(maxlen=32)
         self._samples: deque[Sample] = deque()
+        self._count = 0
 
     def request(self, now_ns: int) -> int:
         """Note that a request leaves now; return its ``ts1``, which is never one that is still under way."""
@@ -60,10 +65,16 @@ class ClockOffset:
             self._samples.popleft()
         if self._samples and self._contradicts(sample):
             self._samples.clear()
+            self._count = 0
             self.jumps += 1
         self._samples.append(sample)
+        self._count += 1
         best = min(self._samples, key=lambda s: s.round_trip_ns)
-        self.offset_ns, self.round_trip_ns = best.offset_ns, best.round_trip_ns
+        self.round_trip_ns = best.round_trip_ns
+        if self.offset_ns is None or self._count <= SETTLED_COUNT:
+            self.offset_ns = best.offset_ns
+        else:
+            self.offset_ns += max(-CREEP_NS, min(CREEP_NS, best.offset_ns - self.offset_ns))
 
     def _contradicts(self, sample: Sample) -> bool:
         """Tell whether the clock has jumped: the bounds of this sample and of the best one do not meet."""

@@ -67,6 +67,20 @@ def test_drift_is_followed():
     assert abs(clock.offset_ns - 50_000 * 59) <= 550_000
 
 
+def test_a_settled_offset_creeps_to_a_better_one():
+    clock = ClockOffset()
+    for i in range(20):
+        exchange(clock, i * 100 * MS, 0, 5 * MS, 3 * MS)
+    assert clock.offset_ns == MS
+    offsets = []
+    for i in range(20):
+        exchange(clock, (3 + i) * S, 0, MS, MS)
+        offsets.append(clock.offset_ns)
+    assert offsets[0] == 900_000
+    assert offsets[-1] == 0
+    assert clock.jumps == 0
+
+
 def test_slow_and_strange_answers_are_not_used():
     clock = ClockOffset()
     assert exchange(clock, S, 0, 150 * MS, 150 * MS) == "timesync_slow"
