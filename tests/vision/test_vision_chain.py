@@ -108,7 +108,7 @@ def test_a_marker_that_is_not_where_the_map_says_is_rejected(camera, tanker, sho
     frame, T = shot
     moved = list(tanker.markers)
     x, y, z = moved[0].p_tanker_m
-    moved[0] = msgspec.structs.replace(moved[0], p_tanker_m=(x, y, z + 5.0))
+    moved[0] = msgspec.structs.replace(moved[0], p_tanker_m=(x, y, z + 3.0))
     out = VisionChain(camera, msgspec.structs.replace(tanker, markers=tuple(moved)), RV).process(frame, T)
     assert reason(out) == "image_error"
 
