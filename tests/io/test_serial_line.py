@@ -146,9 +146,7 @@ def test_a_line_that_breaks_is_told_and_taken_up_again(tmp_path: Path):
     time.sleep(0.12)
     assert datalink.poll() == []  # a try while there is nothing
     line = PtyLink(BAUD, tmp_path / "tanker")
-    while datalink._port is None:
-        assert datalink.poll() == []
-        time.sleep(0.01)
+    assert poll_until(datalink, timeout_s=0.6) == []  # long enough for the next try
     line.write(frame_at(CLOCK.now_ns()), CLOCK.now_ns())
     events = poll_until(datalink, line)
     assert isinstance(events[0], TankerState)
