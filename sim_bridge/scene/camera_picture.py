@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from companion.config import CameraConfig, ConfigError, TankerConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import T_frd_cam, normalised_to_pixels, pixels_to_normalised
+from sim_bridge.scene import lights
 from sim_bridge.scene import rasterizer as kernels
 from sim_bridge.scene.meshing import Mesh, merge
 from sim_bridge.scene.sky import make_sky
@@ -96,6 +97,10 @@ class Pinhole:
         maps = (places - low).astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
         self.maps = (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
 
+    def sample_lens(self, ss: int) -> Vec:
+        """Return fx, fy, cx, cy in units of samples, ``ss`` to a pixel, sample centres at integers."""
+        return np.concatenate([self.lens[:2] * ss, (self.lens[2:] + 0.5) * ss - 0.5])
+
     def place_spheres(self, centres_cam: Mat, radius_m: float) -> Spheres:
         """Bound the lights that are ahead of the camera; bounds are empty (1, 0) for what is not in the picture."""
         n = len(centres_cam)
@@ -125,6 +130,35 @@ def sphere_bounds(across: float, ahead: float, radius: float, f_px: float, c_px:
     return int(np.floor(max(low + 0.5, 0.0))), int(np.floor(min(high + 0.5, size - 1.0)))
 
 
+@lru_cache(maxsize=8)
+def pinhole_of(camera: CameraConfig) -> Pinhole:
+    """Return the camera's pinhole picture; finding it for a distorted camera is slow."""
+    return Pinhole(camera)
+
+
+class Triangles:
+    """The table of the triangles in view, and the buffers behind it."""
+
+    def __init__(self) -> None:
+        mesh, _ = scene_mesh()
+        self._xyz, self._rgb = np.empty_like(mesh.vertices), np.empty_like(mesh.vertices)
+        self.table = np.empty((2 * len(mesh.triangles), kernels.COLUMNS))
+        self.box = np.empty((2 * len(mesh.triangles), 4), np.int32)
+
+    def place(self, pinhole: Pinhole, ss: int, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState) -> int:
+        """Light and place tanker and boom before the camera, with ``ss`` samples per pixel; returns the rows filled."""
+        mesh, part = scene_mesh()
+        T_cam_ned = T_ned_cam.inverse()
+        T_ned_part = [T_ned_tanker, *(T_ned_tanker @ T for T in boom_poses(boom))]
+        T = np.stack([(T_cam_ned @ T_part).as_matrix()[:3] for T_part in T_ned_part])
+        R_ned = np.stack([T_part.R for T_part in T_ned_part])
+        light = np.array([SUN_NED / np.sqrt(SUN_NED @ SUN_NED), SUNLIGHT, FROM_ABOVE, FROM_BELOW])
+        kernels.light_vertices(mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, light, self._xyz, self._rgb)
+        size = np.array([pinhole.width * ss, pinhole.height * ss], np.int32)
+        lens = pinhole.sample_lens(ss)
+        return int(kernels.set_up_triangles(self._xyz, self._rgb, mesh.triangles, lens, size, self.table, self.box))
+
+
 class CameraPicture:
     """Draws what the camera sees; keep one per camera, its buffers are used again."""
 
@@ -133,7 +167,7 @@ class CameraPicture:
         """``rng`` shapes the sky and the sensor's noise; ``supersampling`` 3 or 4 samples per pixel and axis."""
         self.camera, self.tanker, self.supersampling, self.threads = camera, tanker, supersampling, threads
         self._rng = rng
-        self._pinhole = Pinhole(camera)
+        self._pinhole = pinhole_of(camera)
         self._markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
         self._sky = make_sky(rng)
         size = camera.width_px * camera.height_px * 3
@@ -145,10 +179,7 @@ class CameraPicture:
         turn = (tiles % across + tiles // across) % threads
         self._shares = [tiles[turn == k] for k in range(threads)]
         self._grid = (across, down)
-        mesh, _ = scene_mesh()
-        self._xyz, self._rgb = np.empty_like(mesh.vertices), np.empty_like(mesh.vertices)
-        self._tri = np.empty((2 * len(mesh.triangles), kernels.COLUMNS))
-        self._box = np.empty((2 * len(mesh.triangles), 4), np.int32)
+        self._triangles = Triangles()
 
     def render(self, T_ned_tanker: SE3, T_ned_frd: SE3, boom: BoomState) -> NDArray[np.uint8]:
         """Return the picture (h, w, 3) uint8 RGB of the tanker from the camera on the receiver."""
@@ -161,29 +192,21 @@ class CameraPicture:
             picture = cv2.remap(picture, *self._pinhole.maps, cv2.INTER_LINEAR)
         self._add_lights(picture, spheres, mask)
         start = int(self._rng.integers(NOISE_OFFSETS))
-        kernels.add_noise(picture.reshape(-1), self._noise[start:])
+        lights.add_noise(picture.reshape(-1), self._noise[start:])
         return picture
 
     def _draw(self, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState, spheres: Spheres,
               mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Draw airframe, boom and sky; fill ``mask`` with the samples of the lights that nothing hides."""
-        mesh, part = scene_mesh()
-        T_cam_ned = T_ned_cam.inverse()
-        T_ned_part = [T_ned_tanker, *(T_ned_tanker @ T for T in boom_poses(boom))]
-        T = np.stack([(T_cam_ned @ T_part).as_matrix()[:3] for T_part in T_ned_part])
-        R_ned = np.stack([T_part.R for T_part in T_ned_part])
-        light = np.array([SUN_NED / np.sqrt(SUN_NED @ SUN_NED), SUNLIGHT, FROM_ABOVE, FROM_BELOW])
-        kernels.light_vertices(mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, light, self._xyz, self._rgb)
-        ss, pinhole = self.supersampling, self._pinhole
-        lens = np.concatenate([pinhole.lens[:2] * ss, (pinhole.lens[2:] + 0.5) * ss - 0.5])
-        size = np.array([pinhole.width * ss, pinhole.height * ss], np.int32)
-        count = kernels.set_up_triangles(self._xyz, self._rgb, mesh.triangles, lens, size, self._tri, self._box)
-        starts, members = kernels.sort_into_tiles(self._box, count, kernels.TILE * ss, *self._grid)
+        pinhole, ss = self._pinhole, self.supersampling
+        count = self._triangles.place(pinhole, ss, T_ned_tanker, T_ned_cam, boom)
+        tri, box = self._triangles.table, self._triangles.box
+        starts, members = kernels.sort_into_tiles(box, count, kernels.TILE * ss, *self._grid)
         picture = np.empty((pinhole.height, pinhole.width, 3), np.uint8)
 
         def draw(share: NDArray[np.int32]) -> None:
-            kernels.draw_tiles(share, starts, members, self._tri, self._box, spheres.centres, spheres.box,
-                               spheres.offset, spheres.fine, mask, pinhole.lens, ss, self._sky, T_ned_cam.R, picture)
+            kernels.draw_tiles(share, starts, members, tri, box, spheres.centres, spheres.box, spheres.offset,
+                               spheres.fine, mask, pinhole.lens, ss, self._sky, T_ned_cam.R, picture)
 
         others = [self._pool.submit(draw, share) for share in self._shares[1:]] if self._pool else []
         draw(self._shares[0])
@@ -195,8 +218,8 @@ class CameraPicture:
         """Spread the visible samples of the lights by lens and distortion, and lay them over the picture."""
         jacobian = np.stack([self._bend(c) for c in spheres.centres])
         cover = np.zeros(picture.shape[:2], np.float32)
-        kernels.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, cover)
-        kernels.add_lights(picture, cover, LIGHT)
+        lights.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, cover)
+        lights.add_lights(picture, cover, LIGHT)
 
     def _bend(self, centre_cam: Vec) -> Vec:
         """Return how the lens moves pinhole pixels near a light, for ``rasterizer.spread_lights``."""

@@ -1,0 +1,50 @@
+"""What of each light can be seen: truth for scoring and for choosing a marker map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.config import CameraConfig, TankerConfig
+from companion.geometry import SE3, Mat, Vec
+from companion.vision.camera import T_frd_cam, normalised_to_pixels
+from sim_bridge.scene import lights
+from sim_bridge.scene.camera_picture import Triangles, pinhole_of
+from sim_bridge.scene.rasterizer import NEAR_M
+from sim_bridge.truth import BoomState
+
+RAYS = 64
+
+
+def marker_visibility(camera: CameraConfig, tanker: TankerConfig, T_ned_tanker: SE3, T_ned_frd: SE3,
+                      boom: BoomState) -> Vec:
+    """Return for each marker of the map (n,) the share 0..1 of its disc that is in the picture and not hidden."""
+    points = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
+    return sphere_visibility(camera, points, tanker.marker_radius_m, T_ned_tanker, T_ned_frd, boom)
+
+
+def sphere_visibility(camera: CameraConfig, points_tanker: Mat, radius_m: float, T_ned_tanker: SE3, T_ned_frd: SE3,
+                      boom: BoomState) -> Vec:
+    """Return the visible share (n,) of spheres at ``points_tanker`` (n, 3) in m, by RAYS rays to each."""
+    T_ned_cam = T_ned_frd @ T_frd_cam(camera)
+    pinhole, triangles = pinhole_of(camera), Triangles()
+    count = triangles.place(pinhole, 1, T_ned_tanker, T_ned_cam, boom)
+    centres = (T_ned_cam.inverse() @ T_ned_tanker).transform(points_tanker)
+    disc = unit_disc(RAYS)
+    shares = np.zeros(len(centres))
+    seen = np.empty(RAYS, np.uint8)
+    for i, c in enumerate(centres):
+        if c[2] <= radius_m + NEAR_M:
+            continue
+        sphere = np.append(c, radius_m)
+        lights.sphere_visibility(triangles.table, triangles.box, count, sphere, pinhole.lens, disc, seen)
+        uv = normalised_to_pixels(camera, (c[:2] + radius_m * disc) / c[2])
+        size = np.array([camera.width_px, camera.height_px])
+        shares[i] = np.mean(np.all((uv > -0.5) & (uv < size - 0.5), axis=1) & (seen == 1))
+    return shares
+
+
+def unit_disc(count: int) -> Mat:
+    """Return points (count, 2) spread evenly over the unit circle (sunflower)."""
+    k = np.arange(count)
+    angle, radius = k * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt((k + 0.5) / count)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
