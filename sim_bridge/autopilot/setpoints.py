@@ -83,7 +83,7 @@ class VelocityLoop:
     -A[alpha, alpha] V per rad for the vertical, B[V, throttle] per unit of thrust along the track. Valid near trim.
     """
 
-    K_P, K_V, K_I = 0.3, 0.8, 0.1
+    K_P, K_V, K_I = 0.4, 1.5, 0.2
     MAX_CLOSURE_M_S = 5.0
     MAX_ROLL_RAD = 0.5
     MAX_PITCH_OFFSET_RAD = 0.15

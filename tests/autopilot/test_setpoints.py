@@ -69,13 +69,13 @@ def test_velocity_is_reached_at_any_heading(heading_rad: float) -> None:
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     forward, right, down = SPEED_M_S + 2.0, 3.0, -1.5
     wanted = (forward * cos - right * sin, forward * sin + right * cos, down)
-    _, v = fly(VelocityCommand(0, wanted, None), 60.0, heading_rad=heading_rad)
+    _, v = fly(VelocityCommand(0, wanted, None), 30.0, heading_rad=heading_rad)
     np.testing.assert_allclose(v, wanted, atol=0.1)
 
 
 @pytest.mark.parametrize("wind_lift_m_s2", [0.0, -0.5])
 def test_moving_point_is_met_and_a_steady_upset_is_taken_out(wind_lift_m_s2: float) -> None:
-    start, v_cmd, seconds = np.array([20.0, 15.0, -10.0]), np.array([SPEED_M_S, 0.0, 0.0]), 90.0
+    start, v_cmd, seconds = np.array([20.0, 15.0, -10.0]), np.array([SPEED_M_S, 0.0, 0.0]), 50.0
     p, v = fly(VelocityCommand(0, tuple(v_cmd), tuple(start)), seconds, wind_lift_m_s2)
     np.testing.assert_allclose(p, start + v_cmd * seconds, atol=0.5)
     np.testing.assert_allclose(v, v_cmd, atol=0.2)
