@@ -107,6 +107,24 @@ def image_and_jacobian(points: Mat, X: Vec) -> tuple[Mat, Mat, float]:
     return G, A, nearest
 
 
+@njit(cache=True, nogil=True)
+def normal_equations(uv: Mat, G: Mat, A: Mat, W: Mat, P: Mat, b: Vec) -> tuple[float, float]:
+    """Write A^T W A into P (6, 6) and A^T W (uv - G) into b (6,); return the squared error, weighted and plain."""
+    P[:], b[:] = 0.0, 0.0
+    weighted, plain = 0.0, 0.0
+    for i in range(uv.shape[0]):
+        for k in range(2):
+            w, delta = W[i, k], uv[i, k] - G[i, k]
+            weighted += w * delta * delta
+            plain += delta * delta
+            for r in range(6):
+                a = w * A[2 * i + k, r]
+                b[r] += a * delta
+                for c in range(6):
+                    P[r, c] += a * A[2 * i + k, c]
+    return weighted, plain
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_spd(P: Mat, b: Vec) -> bool:
     """Overwrite b (n,) with P^-1 b by Cholesky, P (n, n) with its factor; False when P is not positive definite."""
@@ -137,22 +155,24 @@ def solve_spd(P: Mat, b: Vec) -> bool:
 @njit(cache=True, nogil=True, error_model="numpy")
 def correct(points: Mat, uv: Mat, X0: Vec, iterations: int, W: Mat) -> tuple[Vec, int, float, bool]:
     """Iterate thesis eq. 5.51 to 5.55 from X0: (X, iterations done, squared image error, converged)."""
-    X, step, done = X0.copy(), np.zeros(6), 0
+    X, P, step, done = X0.copy(), np.empty((6, 6)), np.zeros(6), 0
     G, A, nearest = image_and_jacobian(points, X)
-    at_start = np.sum(W * (uv - G) ** 2)
-    regular = True
+    weighted, plain = normal_equations(uv, G, A, W, P, step)
+    at_start, move, turn, regular = weighted, 0.0, 0.0, True
     for _ in range(iterations):
-        AW = A.T * W.reshape(W.size)
-        P = AW @ A
-        step = AW @ (uv - G).reshape(W.size)
-        regular = solve_spd(P, step) and np.isfinite(step.sum())
+        regular = solve_spd(P, step)
+        for k in range(6):
+            regular = regular and np.isfinite(step[k])
         if not regular:
             break
-        X += step
+        for k in range(6):
+            X[k] += step[k]
+        move = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+        turn = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
         done += 1
         G, A, nearest = image_and_jacobian(points, X)
-    error = np.sum(W * (uv - G) ** 2)
+        weighted, plain = normal_equations(uv, G, A, W, P, step)
     distance = np.sqrt(X[0] ** 2 + X[1] ** 2 + X[2] ** 2)
-    settled = max(np.abs(step[:3]).max() / distance, np.abs(step[3:]).max()) < SETTLED
-    improved = error <= at_start + 1e-12 * W.sum()
-    return X, done, np.sum((uv - G) ** 2), bool(regular and settled and improved and nearest > 0.0)
+    settled = move < SETTLED * distance and turn < SETTLED
+    improved = weighted <= at_start + 1e-12
+    return X, done, plain, bool(regular and settled and improved and nearest > 0.0)
