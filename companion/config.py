@@ -108,7 +108,7 @@ class TankerConfig(Struct, frozen=True, kw_only=True):
 class DetectionConfig(Struct, frozen=True, kw_only=True):
     """Marker detection (thesis 4.2.1): a pixel is lit when red exceeds the larger of green and blue by a threshold."""
 
-    threshold: int = 60
+    threshold: int = 40
     min_area_px: int = 1
     max_area_px: int = 4000
     morphology_px: int = 0
@@ -156,7 +156,7 @@ class LawWeights(Struct, frozen=True, kw_only=True):
     int_x: float = 0.05
     int_y: float = 0.05
     int_z: float = 0.05
-    roll: float = 100.0
+    roll: float = 200.0
     pitch: float = 800.0
     thrust: float = 2.0
 

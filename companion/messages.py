@@ -168,8 +168,8 @@ class FusedPose:
 class RelativeState:
     """Where the receiver is relative to the box, at one instant; what guidance flies on.
 
-    ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) its rate from the two inertial
-    velocities (so that the tanker's yaw in gusts does not look like lateral speed). ``a_mrf_tanker_m_s2`` (3,)
+    ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) the difference of the two centres'
+    inertial velocities (so that neither aircraft's rotation looks like speed). ``a_mrf_tanker_m_s2`` (3,)
     acceleration of the tanker. ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the last fused
     measurement.
     """

@@ -2,8 +2,9 @@
 
 ``BR`` in ``mrf`` (thesis 3.3, Fig. 3.8): the box is fixed in tanker axes, so the tanker's attitude turns it; ``mrf`` is
 ``ned`` turned by the tanker's nominal heading, which is taken from the tanker's course (the mean of what it has told).
-The rate of BR is the difference of the inertial velocities plus the receptacle's lever arm. The box' lever arm is left
-out on purpose: 0.01 rad of tanker yaw in a gust would look like lateral speed that no receiver should follow.
+The rate that goes with it is the difference of the inertial velocities of the centres of mass. Both lever arms are left
+out on purpose: 0.01 rad of tanker yaw in a gust would look like lateral speed that no receiver should follow, and the
+receiver's own roll rate at a receptacle one metre above its axis closes a loop that the docking law does not know of.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ class RelativeEstimator:
         R_ned_frd = a.own_attitude.R_ned_body
         omega = a.own_attitude.omega_body_rad_s
         p_ned_br = p_ned + R_ned_frd @ self._receptacle_frd_m - a.tanker_attitude.R_ned_body @ self._box_tanker_m
-        v_ned_br = a.own.v_ned_m_s - a.tanker.v_ned_m_s + R_ned_frd @ np.cross(omega, self._receptacle_frd_m)
+        v_ned = a.own.v_ned_m_s - a.tanker.v_ned_m_s
         T_cam_tanker = self._blend.T_cam_tanker_of(a, p_ned)
         return RelativeState(
             t_ns=t_ns,
             estimate_t_ns=self._blend.estimate_ns(anchor),
             p_mrf_br_m=R_mrf_ned @ p_ned_br,
-            v_mrf_br_m_s=R_mrf_ned @ v_ned_br,
+            v_mrf_br_m_s=R_mrf_ned @ v_ned,
             a_mrf_tanker_m_s2=R_mrf_ned @ self._blend.tanker_motion.acceleration(ACCELERATION_WINDOW_S),
             v_mrf_own_m_s=R_mrf_ned @ a.own.v_ned_m_s,
             R_ned_frd=R_ned_frd,

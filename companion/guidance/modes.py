@@ -91,7 +91,7 @@ def _breakaway_rows(old: Phase, *more: tuple[str, Condition]) -> tuple[Row, ...]
 TABLE: tuple[Row, ...] = (
     Row(Phase.STANDBY, Phase.JOIN, "engaged, estimate fresh, autopilot guided",
         lambda s, m: s.engaged and s.guided and _fresh(s, m)),
-    *_breakaway_rows(Phase.JOIN),
+    *_breakaway_rows(Phase.JOIN, ("far off the station", _off_path)),
     Row(Phase.JOIN, Phase.STANDBY, "autopilot left guided", _not_guided),
     Row(Phase.JOIN, Phase.APPROACH, "station held", lambda s, m: s.settled_s >= m.join_settle_s),
     *_breakaway_rows(Phase.APPROACH, ("far off the path", _off_path)),
