@@ -39,8 +39,7 @@ import tomli_w
 
 from companion.config import ConfigError, Setup
 from companion.io.rerun_log import RerunLog
-from companion.io.rerun_scene import MeshArrays
-from companion.messages import CameraFrame, Event, Output, Reject, Setpoint, VisionOutput
+from companion.messages import CameraFrame, Event, Output, PhaseChange, Reject, Setpoint, VisionOutput
 
 FLUSH_S = 0.2
 CHUNK_BYTES = 1 << 16
@@ -121,10 +120,11 @@ def newest_run(out: Path | str) -> Path:
 class RunRecorder:
     """``companion.ports.Recorder`` on a run folder; also a context manager.
 
-    ``t0_ns`` is where the Rerun timeline ``sim_time`` has its zero; ``mesh`` is drawn as the tanker when given.
+    ``t0_ns`` is where the Rerun timeline ``sim_time`` has its zero; ``versions.json`` keeps it. Rejects are counted as
+    outputs: whatever rejects come in, the pipeline passes on.
     """
 
-    def __init__(self, folder: Path, setup: Setup, *, t0_ns: int = 0, mesh: MeshArrays | None = None) -> None:
+    def __init__(self, folder: Path, setup: Setup, *, t0_ns: int = 0) -> None:
         self.folder = folder
         self.setup = setup
         self._encode = msgspec.json.Encoder(enc_hook=_plain).encode
@@ -134,18 +134,19 @@ class RunRecorder:
         self.frames = 0
         self.frames_with_pose = 0
         self.setpoints = 0
+        self.phases: list[PhaseChange] = []
         self._closed = False
         try:
-            self._write_toml()
-            (folder / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
+            self._write_headers({**versions(), "t0_ns": t0_ns})
             self._events = Appender(folder / "events.jsonl")
             self._tlog = Appender(folder / "telemetry.tlog")
-            self._rerun = RerunLog(folder / "flight.rrd", setup, t0_ns=t0_ns, mesh=mesh)
+            self._rerun = RerunLog(folder / "flight.rrd", setup, t0_ns=t0_ns)
         except OSError as error:
             msg = f"{folder}: cannot be written ({error.strerror}); give another folder with --out"
             raise ConfigError(msg) from None
 
-    def _write_toml(self) -> None:
+    def _write_headers(self, about: dict[str, Any]) -> None:
+        (self.folder / "versions.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
         with (self.folder / "config.toml").open("wb") as file:
             tomli_w.dump(msgspec.to_builtins(self.setup), file)
 
@@ -157,8 +158,6 @@ class RunRecorder:
             size = {"t_ns": event.t_ns, "sequence": event.sequence, "width_px": width, "height_px": height}
             self._append("CameraFrame", "in", size)
         else:
-            if isinstance(event, Reject):
-                self._count(event)
             self._append(type(event).__name__, "in", event)
         self._rerun.event(event)
 
@@ -172,6 +171,8 @@ class RunRecorder:
             self._count(output)
         elif isinstance(output, Setpoint):
             self.setpoints += 1
+        elif isinstance(output, PhaseChange):
+            self.phases.append(output)
         self._append(type(output).__name__, "out", output)
         self._rerun.output(output)
 

@@ -27,11 +27,9 @@ from companion.io.rerun_scene import (
     AXES,
     DETECTED,
     ESTIMATE,
-    MeshArrays,
     SceneStream,
     draw_plot_lines,
     draw_setup,
-    mesh3d,
 )
 from companion.messages import (
     CameraFrame,
@@ -49,9 +47,12 @@ from companion.messages import (
 from companion.vision.camera import T_frd_cam
 
 BATCH_S = 0.5
+PIXEL_CENTRE = 0.5
+"""Centres of pixels are at integers with us, at halves in the viewer."""
 QUEUE_LENGTH = 200_000
 QUEUED_PICTURES = 30
 PATH_STEP_NS = 250_000_000
+PATH_POINTS = 800
 REJECT_PAUSE_NS = 1_000_000_000
 """The log for people takes one reject of a kind per second; ``events.jsonl`` has them all."""
 
@@ -67,9 +68,8 @@ PHASE_COLOURS = {
 class RerunLog:
     """Writes ``flight.rrd`` beside the flight; safe to close twice."""
 
-    def __init__(
-        self, path: Path, setup: Setup, *, t0_ns: int = 0, mesh: MeshArrays | None = None, recording_id: str = ""
-    ) -> None:
+    def __init__(self, path: Path, setup: Setup, *, t0_ns: int = 0, recording_id: str = "") -> None:
+        """``t0_ns`` is the zero of ``sim_time``; the recording's id is the run folder's name unless given."""
         self.pictures_dropped = 0
         self.messages_dropped = 0
         self._queue: deque[Any] = deque()
@@ -79,16 +79,14 @@ class RerunLog:
         rate_hz = setup.config.recorder.image_rate_hz
         self._picture_step_ns = round(1e9 / rate_hz) if rate_hz > 0 else None
         self._stop = threading.Event()
-        self._draw = _Draw(path, setup, t0_ns, mesh, recording_id or path.resolve().parent.name)
+        self._draw = _Draw(path, setup, t0_ns, recording_id or path.resolve().parent.name)
         self._thread = threading.Thread(target=self._run, name="rerun-log", daemon=True)
         self._thread.start()
 
     def event(self, event: Event) -> None:
-        """Take an input: pictures and rejects are drawn."""
+        """Take an input: of those only pictures are drawn, rejects come out of the pipeline again."""
         if isinstance(event, CameraFrame):
             self._picture(event)
-        elif isinstance(event, Reject):
-            self._put(event)
 
     def output(self, output: Output) -> None:
         """Take an output; of the vision's only those of the pictures that were kept."""
@@ -144,20 +142,19 @@ class RerunLog:
 class _Draw:
     """Turns batches of messages of one kind into columns; lives in the thread of ``RerunLog``."""
 
-    def __init__(self, path: Path, setup: Setup, t0_ns: int, mesh: MeshArrays | None, recording_id: str) -> None:
+    def __init__(self, path: Path, setup: Setup, t0_ns: int, recording_id: str) -> None:
         self.scene = SceneStream(path, setup, t0_ns, recording_id)
         self._setup = setup
         self._camera = T_frd_cam(setup.camera)
-        self._path: list[Mat] = []
+        self._path: deque[Mat] = deque(maxlen=PATH_POINTS)
         self._path_due_ns = 0
         self._reject_due_ns: dict[tuple[str, str], int] = {}
         draw_setup(self.scene, setup)
-        draw_plot_lines(self.scene, setup)
+        draw_plot_lines(self.scene)
         self.scene.static("world/uav/camera", rr.Transform3D(translation=self._camera.t, mat3x3=self._camera.R))
         colours = list(PHASE_COLOURS.values())
         self.scene.static("phase", rr.StateConfiguration(values=[p.value for p in PHASE_COLOURS], colors=colours))
-        if mesh is not None:
-            self.scene.static("world/tanker/mesh", mesh3d(mesh))
+        self.scene.columns("phase", self.scene.times([t0_ns]), rr.StateChange.columns(state=[Phase.STANDBY.value]))
 
     def batch(self, batch: dict[type, list[Any]]) -> None:
         """Draw one batch."""
@@ -174,28 +171,25 @@ class _Draw:
         self.scene.columns("world/uav/camera/image", times, columns)
 
     def vision(self, outputs: list[VisionOutput]) -> None:
-        """Draw detected and predicted markers."""
+        """Draw detected markers as small squares with the marker's id, predicted ones as larger squares."""
+        image, width_px = "world/uav/camera/image", self._setup.camera.width_px
         times = self.scene.times([o.t_ns for o in outputs], [o.sequence for o in outputs])
-        found = [(o.detections.uv_px, detection_labels(o, self._setup)) for o in outputs]
-        self._points("world/uav/camera/image/detected", times, found, DETECTED, 3.0)
-        ids = [str(m.id) for m in self._setup.tanker.markers]
-        predicted = []
-        for o in outputs:
-            seen = np.flatnonzero(np.isfinite(o.predicted_uv_px).all(axis=1))
-            predicted.append((o.predicted_uv_px[seen], [ids[i] for i in seen]))
-        self._points("world/uav/camera/image/predicted", times, predicted, ESTIMATE, 2.0)
+        labels = [label for o in outputs for label in detection_labels(o, self._setup)]
+        detected = [o.detections.uv_px.reshape(-1, 2) for o in outputs]
+        self._squares(f"{image}/detected", times, detected, DETECTED, width_px / 128, labels)
+        predicted = [o.predicted_uv_px[np.isfinite(o.predicted_uv_px).all(axis=1)] for o in outputs]
+        self._squares(f"{image}/predicted", times, predicted, ESTIMATE, width_px / 64)
 
-    def _points(
-        self, entity: str, times: list[rr.TimeColumn], rows: list[tuple[Mat, list[str]]], colour: Any, size: float
+    def _squares(
+        self, entity: str, times: list[rr.TimeColumn], rows: list[Mat], colour: Any, half_px: float,
+        labels: list[str] | None = None,
     ) -> None:
-        uv = np.concatenate([points.reshape(-1, 2) for points, _ in rows])
-        labels = [label for _, row in rows for label in row]
-        n = len(labels)
-        # Pixel centres are at integers with us and at halves in the viewer.
-        columns = rr.Points2D.columns(
-            positions=uv + 0.5, labels=labels, colors=[colour] * n, radii=[rr.Radius.ui_points(size)] * n
+        centres = np.concatenate(rows)
+        n = len(centres)
+        columns = rr.Boxes2D.columns(
+            centers=centres + PIXEL_CENTRE, half_sizes=np.full((n, 2), half_px), colors=[colour] * n, labels=labels
         )
-        self.scene.columns(entity, times, columns.partition(lengths=[len(row) for _, row in rows]))
+        self.scene.columns(entity, times, columns.partition(lengths=[len(row) for row in rows]))
 
     def relative(self, states: list[RelativeState]) -> None:
         """Draw both aircraft about the tanker, BR, range and the path flown."""
@@ -210,17 +204,24 @@ class _Draw:
         for k, axis in enumerate(AXES):
             self.scene.scalars(f"plots/br/{axis}/estimate", t_ns, br[:, k])
             for name, half in (("desired", window.desired_m[k]), ("limit", window.limit_m[k])):
-                self.scene.scalars(f"plots/br/{axis}/{name}", t_ns[-1:], [[half, -half]])
+                self.scene.scalars(f"plots/br/{axis}/{name}", [t_ns[0], t_ns[-1]], [[half, -half]] * 2)
         self.scene.scalars("plots/range", t_ns, [s.range_m for s in states])
         self._flown(t_ns, box + br)
 
     def _flown(self, t_ns: list[int], receptacle: Mat) -> None:
+        """Draw the receptacle's way, a line that grows every second."""
+        times, strips = [], []
         for t, point in zip(t_ns, receptacle, strict=True):
             if t >= self._path_due_ns:
                 self._path.append(point)
                 self._path_due_ns = t + PATH_STEP_NS
-        strip = rr.LineStrips3D.columns(strips=[self._path], colors=[ESTIMATE], radii=[rr.Radius.ui_points(1.0)])
-        self.scene.columns("world/flown", self.scene.times(t_ns[-1:]), strip)
+                if len(self._path) % 4 == 0:
+                    times.append(t)
+                    strips.append(np.array(self._path))
+        if strips:
+            n, thin = len(strips), rr.Radius.ui_points(1.0)
+            columns = rr.LineStrips3D.columns(strips=strips, colors=[ESTIMATE] * n, radii=[thin] * n)
+            self.scene.columns("world/flown", self.scene.times(times), columns)
 
     def fused(self, poses: list[FusedPose]) -> None:
         """Draw weight and marker count of the blend."""

@@ -35,48 +35,37 @@ MARKER = (255, 60, 50)
 DETECTED = (255, 230, 60)
 BOOM = (230, 200, 120)
 
-# A sketch of the receiver for the picture, in frd: a tailless delta of 13.1 m by 11.4 m (ICE-101; shape estimated).
+# The receiver's outline for the picture, in frd: a tailless delta of 13.1 m by 11.4 m (ICE-101; shape estimated).
 _UAV_RIM_M = np.array([
     [6.6, 0.0, 0.0], [-5.4, 5.7, 0.0], [-5.9, 5.7, 0.0], [-4.3, 2.7, 0.0], [-6.5, 0.0, 0.0], [-4.3, -2.7, 0.0],
     [-5.9, -5.7, 0.0], [-5.4, -5.7, 0.0],
 ])  # fmt: skip
-_UAV_TOP_M, _UAV_BELLY_M = [-0.5, 0.0, -1.0], [-0.5, 0.0, 0.6]
+_UAV_TOP_M = np.array([-0.5, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshArrays:
-    """A body to draw: ``vertices_m`` (n, 3) in its own axes, ``triangles`` (m, 3), ``rgb`` (m, 3) uint8 for each."""
+    """A body to draw: ``vertices_m``, ``normals`` (n, 3) in its axes, ``triangles`` (m, 3), ``rgb`` (n, 3) uint8."""
 
     vertices_m: Mat
+    normals: Mat
     triangles: NDArray[Any]
     rgb: NDArray[np.uint8]
 
-
-def uav_mesh() -> MeshArrays:
-    """Return the sketch of the receiver, in ``frd``; every side is seen counter-clockwise from outside."""
-    ring = [(k, (k + 1) % 8) for k in range(8)]
-    triangles = np.array([(b, a, 8) for a, b in ring] + [(a, b, 9) for a, b in ring])
-    rgb = np.repeat(np.array([[150, 175, 215], [95, 110, 140]], dtype=np.uint8), 8, axis=0)
-    return MeshArrays(np.vstack([_UAV_RIM_M, _UAV_TOP_M, _UAV_BELLY_M]), triangles, rgb)
-
-
-def uav_outline() -> Mat:
-    """Return the rim of the receiver as a closed line (n, 3), in ``frd``."""
-    return np.vstack([_UAV_RIM_M, _UAV_RIM_M[:1]])
+    def to_rerun(self) -> rr.Mesh3D:
+        """Return the mesh as the viewer takes it."""
+        return rr.Mesh3D(
+            vertex_positions=self.vertices_m,
+            vertex_normals=self.normals,
+            triangle_indices=self.triangles,
+            vertex_colors=self.rgb,
+        )
 
 
-def mesh3d(mesh: MeshArrays) -> rr.Mesh3D:
-    """Return the mesh with one normal and one colour per triangle, which shows its shape best."""
-    corners = mesh.vertices_m[mesh.triangles].astype(np.float32)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))[:, None]
-    normals /= np.where(lengths > 0, lengths, 1.0)
-    return rr.Mesh3D(
-        vertex_positions=corners.reshape(-1, 3),
-        triangle_indices=np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3),
-        vertex_normals=np.repeat(normals, 3, axis=0),
-        vertex_colors=np.repeat(mesh.rgb, 3, axis=0),
-    )
+def uav_wires() -> list[Mat]:
+    """Return the receiver as lines (n, 3) in ``frd``: its rim, and spokes to its back."""
+    rim = np.vstack([_UAV_RIM_M, _UAV_RIM_M[:1]])
+    return [rim, *(np.stack([corner, _UAV_TOP_M]) for corner in _UAV_RIM_M[[0, 1, 4, 7]])]
 
 
 class SceneStream:
@@ -153,14 +142,14 @@ def draw_setup(scene: SceneStream, setup: Setup) -> None:
     for name, half, colour in (("desired", tanker.window.desired_m, DESIRED), ("limit", tanker.window.limit_m, LIMIT)):
         box = rr.Boxes3D(centers=[[0, 0, 0]], half_sizes=[half], colors=colour, radii=0.03)
         scene.static(f"world/window/{name}", box)
-    scene.static("world/uav/body", mesh3d(uav_mesh()))
+    scene.static("world/uav/body", rr.LineStrips3D(uav_wires(), colors=ESTIMATE, radii=rr.Radius.ui_points(1.0)))
     scene.static("world/uav/receptacle", rr.Points3D([setup.airframe.receptacle_frd_m], colors=DETECTED, radii=0.2))
     pinhole = rr.Pinhole(
         focal_length=[camera.fx_px, camera.fy_px],
         principal_point=[camera.cx_px, camera.cy_px],
         resolution=[camera.width_px, camera.height_px],
         camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=6.0,
+        image_plane_distance=2.5,
     )
     scene.static("world/uav/camera", pinhole)
 
@@ -171,17 +160,22 @@ def draw_boom(scene: SceneStream, entity: str, pivot_tanker_m: Mat, reach_tanker
     scene.static(entity, rr.LineStrips3D([strip], colors=BOOM, radii=0.2))
 
 
-def draw_plot_lines(scene: SceneStream, setup: Setup) -> None:
+def draw_plot_lines(scene: SceneStream) -> None:
     """Name and colour the lines of all plots."""
-    window = setup.tanker.window
-    for axis, desired_m, limit_m in zip(AXES, window.desired_m, window.limit_m, strict=True):
+    for axis in AXES:
         base = f"plots/br/{axis}"
         scene.line(f"{base}/estimate", ["estimate"], ESTIMATE, 2.0)
         scene.line(f"{base}/reference", ["path"], REFERENCE, 1.0)
-        scene.line(f"{base}/desired", [f"desired ±{desired_m:.2f} m", ""], DESIRED, 1.0)
-        scene.line(f"{base}/limit", [f"limit ±{limit_m:.2f} m", ""], LIMIT, 1.0)
+        scene.line(f"{base}/desired", ["desired", "desired"], DESIRED, 1.0)
+        scene.line(f"{base}/limit", ["limit", "limit"], LIMIT, 1.0)
     scene.line("plots/range", ["range, m"], ESTIMATE, 2.0)
     scene.line("plots/fusion/vision_weight", ["vision weight"], ESTIMATE, 2.0)
     scene.line("plots/fusion/markers", ["markers used"], DETECTED, 1.5)
     for name, colour in (("roll_deg", ESTIMATE), ("pitch_deg", DETECTED), ("thrust_percent", LIMIT)):
         scene.line(f"plots/setpoint/{name}", [name.replace("_", ", ")], colour)
+
+
+def draw_truth_lines(scene: SceneStream) -> None:
+    """Name and colour the truth's lines in the plots of BR."""
+    for axis in AXES:
+        scene.line(f"plots/br/{axis}/truth", ["truth"], TRUTH, 1.5)

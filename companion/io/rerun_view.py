@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import rerun.blueprint as rrb
+import rerun_cli
 from rerun.experimental import ViewerClient
 
 from companion.config import ConfigError, WindowConfig
@@ -36,11 +37,13 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
     br = [
         rrb.TimeSeriesView(
             origin=f"plots/br/{axis}",
-            name=f"BR {axis}, m ({what})",
+            name=f"BR {axis} ({what}), m: ±{desired_m:.2f} desired, ±{limit_m:.2f} limit",
             axis_y=rrb.ScalarAxis(range=(-1.5 * limit_m, 1.5 * limit_m), zoom_lock=False),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=axis == "x"),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=axis == "x"),
         )
-        for axis, what, limit_m in zip("xyz", ("forward", "right", "down"), window.limit_m, strict=True)
+        for axis, what, desired_m, limit_m in zip(
+            "xyz", ("forward", "right", "down"), window.desired_m, window.limit_m, strict=True
+        )
     ]
     more = rrb.Tabs(
         rrb.TimeSeriesView(origin="plots/fusion", name="Fusion"),
@@ -50,7 +53,7 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
     )
     foot = rrb.Horizontal(
         rrb.StateTimelineView(origin="phase", name="Phase"),
-        rrb.TextLogView(origin="log", name="Log"),
+        rrb.TextLogView(origin="log", name="Log", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])),
         column_shares=[3, 2],
     )
     return rrb.Blueprint(
@@ -58,7 +61,7 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
             rrb.Horizontal(scene, camera, column_shares=[3, 2]),
             rrb.Horizontal(*br, more),
             foot,
-            row_shares=[5, 3, 1.4],
+            row_shares=[5, 2.8, 1.6],
         ),
         rrb.TimePanel(state=rrb.components.PanelState.Collapsed, timeline="sim_time"),
         rrb.BlueprintPanel(state=rrb.components.PanelState.Hidden),
@@ -80,6 +83,12 @@ def viewer_environment() -> dict[str, str]:
     return {**os.environ, "RERUN_ANALYTICS": "0"}
 
 
+def viewer_binary() -> str:
+    """Return the viewer that came with the SDK: the program itself, as its launcher would leave it behind."""
+    name = "rerun.exe" if sys.platform == "win32" else "rerun"
+    return str(Path(rerun_cli.__file__).with_name(name))
+
+
 def open_viewer(run_dir: Path | str) -> int:
     """Open a run in the native viewer and wait until it is closed; return its exit code.
 
@@ -90,7 +99,7 @@ def open_viewer(run_dir: Path | str) -> int:
         web = f"rerun --bind {LOOPBACK} --web-viewer {' '.join(files)}"
         msg = f"no display for the viewer; in a browser instead: {web}"
         raise ConfigError(msg)
-    command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, "--port", "auto", *files]
+    command = [viewer_binary(), "--bind", LOOPBACK, "--port", "auto", *files]
     return subprocess.run(command, env=viewer_environment(), check=False).returncode
 
 
@@ -102,7 +111,7 @@ def screenshot(run_dir: Path | str, png: Path | str, time_s: float | None = None
     """
     files = [str(f) for f in recordings(run_dir)]
     port = _free_port()
-    command = [sys.executable, "-m", "rerun", "--headless", "--bind", LOOPBACK, "--port", str(port)]
+    command = [viewer_binary(), "--headless", "--bind", LOOPBACK, "--port", str(port)]
     viewer = subprocess.Popen(
         [*command, "--window-size", size, *files], env=viewer_environment(),
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -133,9 +142,11 @@ def _connect(viewer: subprocess.Popen[bytes], port: int) -> ViewerClient:
             break
         try:
             client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-            if client.get_state() is not None:
+            state = client.get_state()
+            if state.active_recording is not None and not state.loading:
                 return client
-        except (RuntimeError, ConnectionError, OSError):
-            time.sleep(0.5)
+        except (RuntimeError, OSError):
+            pass
+        time.sleep(0.5)
     msg = "the viewer did not come up; does this machine have a Vulkan driver (Debian: mesa-vulkan-drivers)?"
     raise ConfigError(msg)

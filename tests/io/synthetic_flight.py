@@ -40,6 +40,8 @@ from companion.messages import (
     VisionOutput,
 )
 from companion.vision.camera import T_frd_cam, project
+from sim_bridge.plant.boom import nominal_boom
+from sim_bridge.truth import BodyState, Truth
 
 HEADING = 0.4
 SPEED_M_S = 206.0
@@ -133,7 +135,7 @@ def messages(setup: Setup, duration_s: float) -> Iterator[tuple[str, Event | Out
             T = flight.tanker(t)
             yield "in", TankerState(t_ns, T.t, flight.R_ned_mrf @ [SPEED_M_S, 0.0, 0.0], T.R, np.zeros(3))
         if k % 310 == 0:
-            yield "in", Reject(t_ns, "datalink", "checksum", "frame of 55 bytes")
+            yield "out", Reject(t_ns, "datalink", "checksum", "frame of 55 bytes")
 
 
 def phase_at(t: float) -> Phase:
@@ -187,12 +189,30 @@ def record(recorder: object, setup: Setup, duration_s: float) -> None:
         (recorder.event if direction == "in" else recorder.output)(message)  # type: ignore[attr-defined]
 
 
+def truths(setup: Setup, duration_s: float) -> Iterator[tuple[Truth, Vec]]:
+    """Yield what really happened and BR, at 50 Hz."""
+    flight = Flight(setup)
+    boom = nominal_boom(setup.tanker.boom)
+    for k in range(round(duration_s * 50)):
+        t = k * 0.02
+        yield Truth(k * 20_000_000, body(flight.uav(t), k), body(flight.tanker(t), k), boom, np.zeros(10)), flight.br(t)
+
+
+def body(T: SE3, k: int) -> BodyState:
+    """A body at a pose, on the tanker's course."""
+    v = rotation_from_euler(HEADING, 0.0, 0.0) @ [SPEED_M_S, 0.0, 0.0]
+    return BodyState(k * 20_000_000, T.t, v, T.R, np.zeros(3), np.zeros(3), np.zeros(3))
+
+
 if __name__ == "__main__":
     import sys
 
     from companion.io.recorder import RunRecorder
+    from sim_bridge.truth_log import TruthLog
 
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True)
-    with RunRecorder(folder, synthetic_setup()) as recorder:
-        record(recorder, recorder.setup, 60.0)
+    with RunRecorder(folder, synthetic_setup()) as recorder, TruthLog(folder, synthetic_setup()) as truth_log:
+        record(recorder, synthetic_setup(), 60.0)
+        for truth, br in truths(synthetic_setup(), 60.0):
+            truth_log.append(truth, br)
