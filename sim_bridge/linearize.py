@@ -1,8 +1,8 @@
 """Trim and linear model of the receiver, and the data file that guidance designs its law from (thesis 3.4 to 3.8).
 
 State x = (V, alpha, beta, p, q, r, psi, theta, phi) in m/s, rad and rad/s; input u in the order of
-``sim_bridge.truth.EFFECTORS``; x' = A (x - x0) + B (u - u0) about straight and level flight at Mach 0.65, 6000 m. Central
-differences of the JSBSim model itself: ``FGLinearization`` knows four inputs only.
+``sim_bridge.truth.EFFECTORS``; x' = A (x - x0) + B (u - u0) about straight and level flight at Mach 0.65, 6000 m.
+Central differences of the JSBSim model itself: ``FGLinearization`` knows four inputs only.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from scipy.optimize import root
 from companion.config import FIRMWARE_CONFIGS, AirframeConfig, AttitudeResponse, TrimConfig
 from companion.geometry import Mat, Vec
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
-from sim_bridge.plant.world import ALTITUDE_M, MACH, UAV_INPUTS
 from sim_bridge.plant.response import identify_response
+from sim_bridge.plant.world import ALTITUDE_M, MACH, UAV_INPUTS
 from sim_bridge.truth import EFFECTORS
 
 STATES = ("V", "alpha", "beta", "p", "q", "r", "psi", "theta", "phi")
@@ -120,7 +120,8 @@ def trim(fdm: Fdm, speed_m_s: float) -> tuple[Vec, Vec, float]:
 
     def state(z: Vec) -> tuple[Vec, Vec]:
         alpha, flap, throttle = z.tolist()
-        return np.array([speed_m_s, alpha, 0, 0, 0, 0, 0, alpha, 0], dtype=float), np.array(effectors_at(throttle, flap))
+        x = np.array([speed_m_s, alpha, 0.0, 0.0, 0.0, 0.0, 0.0, alpha, 0.0])
+        return x, np.array(effectors_at(throttle, flap))
 
     def unbalanced(z: Vec) -> Vec:
         dx = rates(fdm, *state(z))
@@ -136,7 +137,7 @@ def trim(fdm: Fdm, speed_m_s: float) -> tuple[Vec, Vec, float]:
 
 
 def differences(fdm: Fdm, x0: Vec, u0: Vec) -> tuple[Mat, Mat]:
-    """Return A (9, 9) and B (9, 10) by central differences about (x0, u0); noise below 1e-9 of the axis is set to zero."""
+    """Return A (9, 9) and B (9, 10) by central differences about (x0, u0); noise below 1e-9 becomes zero."""
     A = np.empty((9, 9))
     B = np.empty((9, 10))
     for j, h in enumerate(STEPS):
@@ -165,12 +166,12 @@ def modes_of(A: Mat) -> tuple[Mode, ...]:
 def report(result: Linearization) -> str:
     """Return the trim, the modes and the identified response as text for people."""
     a = result.airframe
+    surfaces = zip(EFFECTORS[1:], a.trim.effectors[1:], strict=True)
     lines = [
         f"{a.name} at {a.trim.airspeed_m_s:.2f} m/s (Mach {MACH}), {a.trim.altitude_m:.0f} m, {a.mass_kg:.0f} kg",
         f"trim: alpha {math.degrees(a.trim.alpha_rad):.3f} deg, throttle {a.trim.throttle:.3f}, "
         f"residual {result.residual:.1e}",
-        "      " + ", ".join(f"{n} {math.degrees(v):.2f}" for n, v in zip(EFFECTORS[1:], a.trim.effectors[1:], strict=True))
-        + " deg",
+        "      " + ", ".join(f"{name} {math.degrees(v):.2f}" for name, v in surfaces) + " deg",
         "",
         f"{'mode':14} {'eigenvalue (1/s)':>22} {'frequency':>10} {'damping':>8}",
     ]
@@ -181,10 +182,22 @@ def report(result: Linearization) -> str:
     r = a.response
     lines += [
         "",
-        f"closed attitude loops: roll {r.roll_rad_s:.2f} rad/s damping {r.roll_damping:.2f}, pitch {r.pitch_rad_s:.2f} rad/s "
-        f"damping {r.pitch_damping:.2f}, thrust lag {r.thrust_lag_s:.2f} s, delay {r.delay_s * 1e3:.0f} ms",
+        f"closed attitude loops: roll {r.roll_rad_s:.2f} rad/s damping {r.roll_damping:.2f}, "
+        f"pitch {r.pitch_rad_s:.2f} rad/s damping {r.pitch_damping:.2f}, "
+        f"thrust lag {r.thrust_lag_s:.2f} s, delay {r.delay_s * 1e3:.0f} ms",
     ]
+    lines += matrix("A (columns: states)", STATES, STATES, a.A)
+    lines += matrix("B (columns: throttle 0..1, surfaces rad)", STATES, EFFECTORS, a.B)
     return "\n".join(lines)
+
+
+def matrix(
+    title: str, rows: tuple[str, ...], columns: tuple[str, ...], values: tuple[tuple[float, ...], ...]
+) -> list[str]:
+    """Return the lines of a table of ``values`` (rows, columns)."""
+    head = " " * 7 + "".join(f"{name:>10}" for name in columns)
+    body = [f"{name:7}" + "".join(f"{v:10.4f}" for v in row) for name, row in zip(rows, values, strict=True)]
+    return ["", title, head, *body]
 
 
 def write_airframe(path: Path = AIRFRAME_FILE) -> Linearization:

@@ -1,154 +1,252 @@
-"""The arithmetic of the inner loops at 200 Hz, compiled."""
+"""The arithmetic of the inner loops at 200 Hz, compiled; ``inner_loops`` says what it is for."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from companion.geometry import Mat, Vec
+
 G = 9.80665
-LAW_STATES = 14
-"""Integrals of roll and pitch error (0, 1), lagged p' q' r' commands (2, 3, 4), calm-air path angle and whether it has started
-(5, 6), reference roll and its rate (7, 8), reference pitch, its rate and its incidence from trim (9, 10, 11), whether the
-references have started (12), lasting offset of incidence (13)."""
 INTEGRAL_MAX = 0.1
-ROLL_ACC_MAX = 6.0
-PITCH_ACC_MAX = 2.5
-"""Of the references (rad/s2): about half of what the flaps can give."""
+"""Of the attitude errors, rad s."""
+ROLL_MAX = (0.35, 5.0, 40.0)
+PITCH_MAX = (0.12, 1.5, 15.0)
+"""Limits of the references: rate (rad/s), acceleration, its slope; well inside what flaps of 150 deg/s can follow."""
+
+# Places in the law's state vector.
+ROLL_SUM, PITCH_SUM = 0, 1  # integrals of the attitude errors
+GIVEN = 2  # three: angular accelerations that the effectors give by now, by the lag of the design model
+ROLL_REF, ROLL_REF_RATE, ROLL_REF_ACC = 5, 6, 7
+PITCH_REF, PITCH_REF_RATE, PITCH_REF_ACC, ALPHA_REF = 8, 9, 10, 11  # incidence from trim
+PATH, PATH_OFFSET = 12, 13  # flight-path angle in calm air, and what lasts of its difference
+STARTED = 14
+SURFACES = 15  # nine: deflections from trim that were commanded last
+LAW_STATES = 24
+
+
+class Constants(NamedTuple):
+    """What stays: gains, references, effectors. Arrays over the nine surfaces are deflections from trim, rad."""
+
+    dt_s: float
+    alpha0: float
+    lag_share: float
+    K_pitch: Vec  # (5,) over alpha, q, theta, its integral, lagged q'
+    K_lateral: Mat  # (2, 7) over beta, p, r, phi, its integral, lagged p', lagged r'
+    reference: tuple[float, float, float, float]  # roll frequency, damping, pitch frequency, damping
+    L_p: float
+    M_alpha: float
+    M_q: float
+    Z_alpha: float  # positive, 1/s
+    moments: Mat  # (3, 9) p', q', r' for a radian of each surface
+    squares: Vec  # (9,) inverse costs
+    low: Vec
+    high: Vec
+    slew: Vec  # in one step
+    lift: Vec  # for 1 m/s2 upward without moment
+    lift_gain: float
+    lift_fade: float
+    lift_max: float
+
+
+class Motion(NamedTuple):
+    """The sensed motion as the loops use it: inertial flow angles, attitude, rates of a coordinated turn."""
+
+    speed: float
+    alpha: float
+    beta: float
+    roll: float
+    pitch: float
+    path: float
+    turn_q: float
+    turn_r: float
 
 
 @njit(cache=True, nogil=True)
-def inner_step(  # type: ignore[no-untyped-def]
-    roll_cmd, pitch_cmd, R, omega, v_ned, law, K_pitch, K_lateral, model, surfaces, squares, low, high, lift, trim, fixed, out
-):
-    """Write surface commands into ``out[1:]``; ``law`` (LAW_STATES,) is read and updated. See ``InnerLoops``."""
-    dt, alpha0, share, lift_gain, fade, lift_max = fixed
-    u = R[0, 0] * v_ned[0] + R[1, 0] * v_ned[1] + R[2, 0] * v_ned[2]
-    v = R[0, 1] * v_ned[0] + R[1, 1] * v_ned[1] + R[2, 1] * v_ned[2]
-    w = R[0, 2] * v_ned[0] + R[1, 2] * v_ned[1] + R[2, 2] * v_ned[2]
-    speed = max(math.sqrt(u * u + v * v + w * w), 1.0)
-    pitch = -math.asin(min(max(R[2, 0], -1.0), 1.0))
-    roll = math.atan2(R[2, 1], R[2, 2])
-    turn = G / speed * math.sin(roll)
-    q_turn = turn * math.tan(roll) if abs(roll) < 1.2 else 0.0
-
-    if law[12] == 0.0:
-        law[7], law[9], law[12] = roll, pitch, 1.0
-    roll_ff, pitch_ff = references(roll_cmd, pitch_cmd, law, model, dt)
-    law[0] = clip(law[0] + dt * (roll - law[7]), INTEGRAL_MAX)
-    law[1] = clip(law[1] + dt * (pitch - law[9]), INTEGRAL_MAX)
-    x = (math.asin(v / speed), omega[0] - law[8], omega[2] - turn, roll - law[7], law[0], law[2] - roll_ff, law[4])
-    roll_acc = roll_ff
-    yaw_acc = 0.0
-    for i in range(7):
-        roll_acc -= K_lateral[0, i] * x[i]
-        yaw_acc -= K_lateral[1, i] * x[i]
-    y = (math.atan2(w, u) - alpha0 - law[11], omega[1] - q_turn - law[10], pitch - law[9], law[1], law[3] - pitch_ff)
-    pitch_acc = pitch_ff
-    for i in range(5):
-        pitch_acc -= K_pitch[i] * y[i]
-    law[2] += share * (roll_acc - law[2])
-    law[3] += share * (pitch_acc - law[3])
-    law[4] += share * (yaw_acc - law[4])
-
-    acceleration = direct_lift(pitch, v_ned[2], speed, law, dt, alpha0, model[7], lift_gain, fade, lift_max)
+def inner_step(
+    roll_cmd: float, pitch_cmd: float, R: Mat, omega: Vec, v_ned: Vec, law: Vec, c: Constants, surfaces: Vec
+) -> None:
+    """Write deflections from trim into ``surfaces`` (9,); ``law`` (LAW_STATES,) is read and updated."""
+    m = sense(R, v_ned)
+    if law[STARTED] == 0.0:
+        law[STARTED] = 1.0
+        law[ROLL_REF], law[PITCH_REF], law[ALPHA_REF], law[PATH] = m.roll, m.pitch, m.alpha - c.alpha0, m.path
+    references(roll_cmd, pitch_cmd, law, c)
+    p_acc, r_acc = lateral(m, omega, law, c)
+    q_acc = longitudinal(m, omega, law, c)
+    lift_acc = direct_lift(m, law, c)
+    now = law[SURFACES:]
+    low = np.maximum(c.low, now - c.slew)
+    high = np.minimum(c.high, now + c.slew)
     for i in range(9):
-        out[i + 1] = lift[i] * acceleration
-    allocate(roll_acc, pitch_acc, yaw_acc, surfaces, squares, low, high, out)
-    for i in range(1, 10):
-        out[i] += trim[i]
+        now[i] = min(max(c.lift[i] * lift_acc, low[i]), high[i])
+    allocate(p_acc, q_acc, r_acc, c, low, high, now)
+    for a in range(3):
+        law[GIVEN + a] += c.lag_share * (moment_of(c.moments, a, now) - law[GIVEN + a])
+    surfaces[:] = now
 
 
 @njit(cache=True, nogil=True)
-def references(roll_cmd, pitch_cmd, law, model, dt):  # type: ignore[no-untyped-def]
-    """Advance the second-order references of roll and pitch; return the accelerations that fly them (rad/s2).
-
-    ``model`` is (roll frequency, damping, pitch frequency, damping, L_p, M_alpha, M_q, -Z_alpha).
-    """
-    w_roll, z_roll, w_pitch, z_pitch, l_p, m_alpha, m_q, z_alpha = model
-    p_dot = clip(w_roll * w_roll * (roll_cmd - law[7]) - 2.0 * z_roll * w_roll * law[8], ROLL_ACC_MAX)
-    q_dot = clip(w_pitch * w_pitch * (pitch_cmd - law[9]) - 2.0 * z_pitch * w_pitch * law[10], PITCH_ACC_MAX)
-    law[8] += dt * p_dot
-    law[7] += dt * law[8]
-    law[10] += dt * q_dot
-    law[9] += dt * law[10]
-    law[11] += dt * (law[10] - z_alpha * law[11])
-    return p_dot - l_p * law[8], q_dot - m_alpha * law[11] - m_q * law[10]
+def sense(R: Mat, v: Vec) -> Motion:
+    """Return the motion from attitude (3, 3) and inertial velocity (3,)."""
+    u = R[0, 0] * v[0] + R[1, 0] * v[1] + R[2, 0] * v[2]
+    side = R[0, 1] * v[0] + R[1, 1] * v[1] + R[2, 1] * v[2]
+    w = R[0, 2] * v[0] + R[1, 2] * v[1] + R[2, 2] * v[2]
+    speed = max(math.sqrt(u * u + side * side + w * w), 1.0)
+    roll = math.atan2(R[2, 1], R[2, 2])
+    turn_r = G / speed * math.sin(roll)
+    turn_q = turn_r * math.tan(clip(roll, 1.2))
+    pitch = -math.asin(clip(R[2, 0], 1.0))
+    return Motion(speed, math.atan2(w, u), math.asin(side / speed), roll, pitch, -v[2] / speed, turn_q, turn_r)
 
 
 @njit(cache=True, nogil=True)
-def clip(value, limit):  # type: ignore[no-untyped-def]
+def clip(value: float, limit: float) -> float:
     """Return ``value`` within +-limit."""
     return min(max(value, -limit), limit)
 
 
 @njit(cache=True, nogil=True)
-def direct_lift(pitch, v_down, speed, law, dt, alpha0, z_alpha, gain, fade, limit):  # type: ignore[no-untyped-def]
+def references(roll_cmd: float, pitch_cmd: float, law: Vec, c: Constants) -> None:
+    """Advance the references of roll and pitch, and the incidence that goes with the latter."""
+    w_roll, z_roll, w_pitch, z_pitch = c.reference
+    law[ROLL_REF_ACC] = follow(
+        roll_cmd - law[ROLL_REF], law[ROLL_REF_RATE], law[ROLL_REF_ACC], w_roll, z_roll, ROLL_MAX, c.dt_s
+    )
+    law[PITCH_REF_ACC] = follow(
+        pitch_cmd - law[PITCH_REF], law[PITCH_REF_RATE], law[PITCH_REF_ACC], w_pitch, z_pitch, PITCH_MAX, c.dt_s
+    )
+    law[ROLL_REF_RATE] += c.dt_s * law[ROLL_REF_ACC]
+    law[ROLL_REF] += c.dt_s * law[ROLL_REF_RATE]
+    law[PITCH_REF_RATE] += c.dt_s * law[PITCH_REF_ACC]
+    law[PITCH_REF] += c.dt_s * law[PITCH_REF_RATE]
+    law[ALPHA_REF] += c.dt_s * (law[PITCH_REF_RATE] - c.Z_alpha * law[ALPHA_REF])
+
+
+@njit(cache=True, nogil=True)
+def follow(
+    error: float, rate: float, acceleration: float, w: float, z: float, limits: tuple[float, float, float], dt_s: float
+) -> float:
+    """Return the new acceleration of a second-order reference, limited in rate, acceleration and slope."""
+    wanted = clip(2.0 * z * w * (clip(w / (2.0 * z) * error, limits[0]) - rate), limits[1])
+    return acceleration + clip(wanted - acceleration, limits[2] * dt_s)
+
+
+@njit(cache=True, nogil=True)
+def lateral(m: Motion, omega: Vec, law: Vec, c: Constants) -> tuple[float, float]:
+    """Return the roll and yaw accelerations (rad/s2): feed-forward of the reference and LQR about it."""
+    lean = math.tan(c.alpha0)  # a roll about the path needs this share of it as yaw
+    p_ff = law[ROLL_REF_ACC] - c.L_p * law[ROLL_REF_RATE]
+    r_ff = lean * law[ROLL_REF_ACC]
+    error = m.roll - law[ROLL_REF]
+    law[ROLL_SUM] = clip(law[ROLL_SUM] + c.dt_s * error, INTEGRAL_MAX)
+    p_error = omega[0] - law[ROLL_REF_RATE]
+    r_error = omega[2] - m.turn_r - lean * law[ROLL_REF_RATE]
+    x = (m.beta, p_error, r_error, error, law[ROLL_SUM], law[GIVEN] - p_ff, law[GIVEN + 2] - r_ff)
+    for i in range(7):
+        p_ff -= c.K_lateral[0, i] * x[i]
+        r_ff -= c.K_lateral[1, i] * x[i]
+    return p_ff, r_ff
+
+
+@njit(cache=True, nogil=True)
+def longitudinal(m: Motion, omega: Vec, law: Vec, c: Constants) -> float:
+    """Return the pitch acceleration (rad/s2): feed-forward of the reference and LQR about it."""
+    q_ff = law[PITCH_REF_ACC] - c.M_alpha * law[ALPHA_REF] - c.M_q * law[PITCH_REF_RATE]
+    error = m.pitch - law[PITCH_REF]
+    law[PITCH_SUM] = clip(law[PITCH_SUM] + c.dt_s * error, INTEGRAL_MAX)
+    alpha_error = m.alpha - c.alpha0 - law[ALPHA_REF]
+    q_error = omega[1] - m.turn_q - law[PITCH_REF_RATE]
+    x = (alpha_error, q_error, error, law[PITCH_SUM], law[GIVEN + 1] - q_ff)
+    for i in range(5):
+        q_ff -= c.K_pitch[i] * x[i]
+    return q_ff
+
+
+@njit(cache=True, nogil=True)
+def direct_lift(m: Motion, law: Vec, c: Constants) -> float:
     """Return the upward acceleration (m/s2) that the flaps should give.
 
-    In calm air the path angle follows pitch: gamma' = Z_alpha (theta - alpha0 + d - gamma). The observer ``law[5]`` obeys
-    this, and learns with the rate ``fade`` what lasts (d, ``law[13]``: wake, speed), so that only gusts are left to the flaps.
+    In calm air the path angle follows pitch: gamma' = Z_alpha (theta - alpha0 + d - gamma). The observer obeys this and
+    learns at the rate ``lift_fade`` what lasts (d: wake, speed), so that only gusts are left to the flaps.
     """
-    gamma = -v_down / speed
-    if law[6] == 0.0:
-        law[5] = gamma
-        law[6] = 1.0
-    innovation = gamma - law[5]
-    law[5] += dt * (z_alpha * (pitch - alpha0 + law[13] - law[5]) + fade * innovation)
-    law[13] += dt * fade * innovation
-    return clip(-gain * speed * innovation, limit)
+    innovation = m.path - law[PATH]
+    drive = c.Z_alpha * (m.pitch - c.alpha0 + law[PATH_OFFSET] - law[PATH])
+    law[PATH] += c.dt_s * (drive + c.lift_fade * innovation)
+    law[PATH_OFFSET] += c.dt_s * c.lift_fade * innovation
+    return clip(-c.lift_gain * m.speed * innovation, c.lift_max)
 
 
 @njit(cache=True, nogil=True)
-def allocate(p_acc, q_acc, r_acc, surfaces, squares, low, high, out):  # type: ignore[no-untyped-def]
-    """Add deflections to ``out[1:]`` that give the three angular accelerations, within ``low`` and ``high`` (9,).
+def allocate(p_acc: float, q_acc: float, r_acc: float, c: Constants, low: Vec, high: Vec, now: Vec) -> None:
+    """Move the deflections ``now`` (9,) so that they give the three angular accelerations.
 
-    Least squares with weight 1 / ``squares`` over the effectors that are free; those that saturate keep their limit and
-    their share goes to the others, three times at most.
+    Least squares with weight 1 / ``squares`` over the surfaces that are free within ``low`` and ``high`` (9,); those
+    that saturate keep their limit and their share goes to the others, three times at most.
     """
-    free = squares.copy()
-    for i in range(9):
-        out[i + 1] = min(max(out[i + 1], low[i]), high[i])
-    wanted = np.array((p_acc, q_acc, r_acc))
-    M = np.empty((3, 3))
+    free = c.squares.copy()
+    missing = np.array((p_acc, q_acc, r_acc))
+    for a in range(3):
+        missing[a] -= moment_of(c.moments, a, now)
     for _ in range(3):
-        for a in range(3):
-            for b in range(3):
-                total = 0.0
-                for i in range(9):
-                    total += surfaces[a, i] * free[i] * surfaces[b, i]
-                M[a, b] = total
-        y0, y1, y2, solved = solve3(M, wanted)
-        if not solved:
-            return
-        again = False
-        for i in range(9):
-            if free[i] == 0.0:
-                continue
-            move = free[i] * (surfaces[0, i] * y0 + surfaces[1, i] * y1 + surfaces[2, i] * y2)
-            to = out[i + 1] + move
-            held = min(max(to, low[i]), high[i])
-            if held != to:
-                free[i] = 0.0
-                again = True
-            for a in range(3):
-                wanted[a] -= surfaces[a, i] * (held - out[i + 1])
-            out[i + 1] = held
-        if not again:
+        y, solved = solve3(normal_matrix(c.moments, free), missing)
+        if not solved or not move(c.moments, free, y, low, high, now, missing):
             return
 
 
 @njit(cache=True, nogil=True)
-def solve3(M, b):  # type: ignore[no-untyped-def]
+def moment_of(moments: Mat, axis: int, now: Vec) -> float:
+    """Return the acceleration about one axis that deflections (9,) give."""
+    total = 0.0
+    for i in range(9):
+        total += moments[axis, i] * now[i]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def normal_matrix(moments: Mat, free: Vec) -> Mat:
+    """Return moments diag(free) moments^T, (3, 3)."""
+    M = np.zeros((3, 3))
+    for a in range(3):
+        for b in range(3):
+            for i in range(9):
+                M[a, b] += moments[a, i] * free[i] * moments[b, i]
+    return M
+
+
+@njit(cache=True, nogil=True)
+def move(
+    moments: Mat, free: Vec, y: tuple[float, float, float], low: Vec, high: Vec, now: Vec, missing: Vec
+) -> bool:
+    """Move the free surfaces by free moments^T y, take that off ``missing``; say whether one met its limit."""
+    met = False
+    for i in range(9):
+        if free[i] == 0.0:
+            continue
+        to = now[i] + free[i] * (moments[0, i] * y[0] + moments[1, i] * y[1] + moments[2, i] * y[2])
+        held = min(max(to, low[i]), high[i])
+        if held != to:
+            free[i] = 0.0
+            met = True
+        for a in range(3):
+            missing[a] -= moments[a, i] * (held - now[i])
+        now[i] = held
+    return met
+
+
+@njit(cache=True, nogil=True)
+def solve3(M: Mat, b: Vec) -> tuple[tuple[float, float, float], bool]:
     """Return the three unknowns of M x = b by Cramer's rule, and whether M is regular."""
     c0 = M[1, 1] * M[2, 2] - M[1, 2] * M[2, 1]
     c1 = M[1, 2] * M[2, 0] - M[1, 0] * M[2, 2]
     c2 = M[1, 0] * M[2, 1] - M[1, 1] * M[2, 0]
     det = M[0, 0] * c0 + M[0, 1] * c1 + M[0, 2] * c2
-    if abs(det) < 1e-9 * abs(M[0, 0] * M[1, 1] * M[2, 2]) or det == 0.0:
-        return 0.0, 0.0, 0.0, False
+    if not abs(det) > 1e-9 * M[0, 0] * M[1, 1] * M[2, 2]:
+        return (0.0, 0.0, 0.0), False
     x = b[0] * c0 + b[1] * (M[0, 2] * M[2, 1] - M[0, 1] * M[2, 2]) + b[2] * (M[0, 1] * M[1, 2] - M[0, 2] * M[1, 1])
     y = b[0] * c1 + b[1] * (M[0, 0] * M[2, 2] - M[0, 2] * M[2, 0]) + b[2] * (M[0, 2] * M[1, 0] - M[0, 0] * M[1, 2])
     z = b[0] * c2 + b[1] * (M[0, 1] * M[2, 0] - M[0, 0] * M[2, 1]) + b[2] * (M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0])
-    return x / det, y / det, z / det, True
+    return (x / det, y / det, z / det), True

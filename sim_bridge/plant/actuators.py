@@ -1,4 +1,4 @@
-"""Actuators of thesis 3.5: pure delay, saturation, first-order lag and rate limit for every channel of the input vector."""
+"""Actuators of thesis 3.5: saturation, pure delay, first-order lag and rate limit for every input."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from companion.geometry import Vec
+from companion.geometry import Mat, Vec
 from sim_bridge.truth import EFFECTORS
 
 DEG = math.pi / 180.0
+Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +31,8 @@ FLAP = Channel(-30 * DEG, 30 * DEG, 150 * DEG, 0.02)
 ONE_SIDED = Channel(0.0, 60 * DEG, 150 * DEG, 0.02)
 LEADING_EDGE = Channel(-40 * DEG, 40 * DEG, 40 * DEG, 0.05)
 THROTTLE = Channel(0.0, 1.0, 0.5, 0.4)
-"""Limits and rates of the surfaces: ICE reports (recalled). Lags and delays: estimated, 50 rad/s servos; thrust of a turbofan at
-mid power follows a small step in about 0.4 s."""
+"""Limits and rates of the surfaces: ICE reports (recalled). Lags and delays: estimated, 50 rad/s servos; thrust of a
+turbofan at mid power follows a small step in about 0.4 s."""
 
 
 def default_channels() -> tuple[Channel, ...]:
@@ -62,17 +64,17 @@ class Actuators:
         self._at = 0
 
     def step(self, command: Vec) -> bool:
-        """Advance one step towards ``command`` (10,); return False, and stay, when it holds a value that is not finite."""
+        """Advance one step towards ``command`` (10,); return False, and stay, when a value is not finite."""
         self._at = (self._at + 1) % self._line.shape[0]
-        return bool(
-            advance(
-                command, self._line, self._at, self._delay, self.low, self.high, self._share, self._step_max, self.position
-            )
+        return advance(
+            command, self._line, self._at, self._delay, self.low, self.high, self._share, self._step_max, self.position
         )
 
 
 @njit(cache=True, nogil=True)
-def advance(command, line, at, delay, low, high, share, step_max, position):  # type: ignore[no-untyped-def]
+def advance(
+    command: Vec, line: Mat, at: int, delay: Counts, low: Vec, high: Vec, share: Vec, step_max: Vec, position: Vec
+) -> bool:
     """Put ``command`` into row ``at`` of the delay ``line`` and move ``position`` by one step; all (n,) per channel."""
     n = position.shape[0]
     for i in range(n):

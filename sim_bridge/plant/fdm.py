@@ -3,8 +3,8 @@
 Rules
 -----
 * The step is set before the model is loaded: JSBSim discretises at load.
-* The ground is flat and does not turn (``aircraft/flat_earth.xml``), so that ``ned`` is the same everywhere and position is
-  the trapezoidal integral of ``v_ned``; JSBSim's own latitude and longitude are not used.
+* The ground is flat and does not turn (``aircraft/flat_earth.xml``), so that ``ned`` is the same everywhere and
+  position is the trapezoidal integral of ``v_ned``; JSBSim's own latitude and longitude are not used.
 * JSBSim says nothing when a state becomes NaN: ``step`` looks and raises ``PlantError``.
 * Inputs and gusts that are set act from the next ``step`` on: its forces are taken at the end of the step and move the
   aircraft in the one after it.

@@ -23,8 +23,8 @@ from companion.geometry import Mat, Vec
 SCALE_M = 533.4
 """L_u = L_v = L_w = 1750 ft, MIL-F-8785C 3.7.2."""
 SIGMA_M_S = {"none": 0.0, "light": 1.13, "moderate": 2.24, "severe": 6.43}
-"""MIL-F-8785C Fig. 7 at 6000 m for exceedance probabilities 1e-2, 1e-3 and 1e-5, between its values at 15,000 and 25,000 ft:
-4.6-2.7, 8.0-6.6 and 22.1-20.0 ft/s."""
+"""MIL-F-8785C Fig. 7 at 6000 m for exceedance probabilities 1e-2, 1e-3 and 1e-5, between its values at 15,000 and
+25,000 ft (as tabulated in JSBSim's FGWinds): 4.6-2.7, 8.0-6.6 and 22.1-20.0 ft/s."""
 SPACING_M = 2.0
 BLOCK = 32768
 BEHIND_M = 2000.0
@@ -49,7 +49,7 @@ def shaping_filters(sigma_m_s: float) -> tuple[Mat, Mat, Mat]:
 
 
 class GustField:
-    """Gusts along the track; made block by block as the flight goes on, always with the same numbers for one generator."""
+    """Gusts along the track; made block by block as the flight goes on, the same for the same generator."""
 
     def __init__(self, turbulence: str, rng: np.random.Generator) -> None:
         """Start the field; raises ValueError for a turbulence that is not a key of ``SIGMA_M_S``."""
@@ -75,16 +75,16 @@ class GustField:
         self._end_m = (len(self._uvw) - 1) * SPACING_M - BEHIND_M
 
     def at(self, along_m: float) -> tuple[float, float, float]:
-        """Return the velocity of the air (along, right, down) in m/s at ``along_m`` on the track; held before its start."""
+        """Return the velocity of the air (along, right, down) in m/s at ``along_m``; before the start, the first."""
         if self.calm:
             return 0.0, 0.0, 0.0
         while along_m >= self._end_m:
             self.extend()
-        return interpolate(self._uvw, max(along_m + BEHIND_M, 0.0) / SPACING_M)  # type: ignore[no-any-return]
+        return interpolate(self._uvw, max(along_m + BEHIND_M, 0.0) / SPACING_M)
 
     def samples(self) -> tuple[Vec, Mat]:
         """Return what has been made so far: positions (n,) in m and (n, 3) gusts in m/s."""
-        return np.arange(len(self._uvw)) * SPACING_M - BEHIND_M, self._uvw
+        return np.arange(float(len(self._uvw))) * SPACING_M - BEHIND_M, self._uvw
 
 
 def root_of(covariance: Mat) -> Mat:
@@ -95,7 +95,7 @@ def root_of(covariance: Mat) -> Mat:
 
 
 @njit(cache=True, nogil=True)
-def run_filter(Phi, driven, x):  # type: ignore[no-untyped-def]
+def run_filter(Phi: Mat, driven: Mat, x: Vec) -> Mat:
     """Return the states x[k+1] = Phi x[k] + driven[k], shape of ``driven``."""
     out = np.empty_like(driven)
     n = x.shape[0]
@@ -109,7 +109,7 @@ def run_filter(Phi, driven, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def interpolate(table, index):  # type: ignore[no-untyped-def]
+def interpolate(table: Mat, index: float) -> tuple[float, float, float]:
     """Return the row at a fractional ``index``, linearly between its neighbours."""
     i = int(index)
     f = index - i

@@ -15,7 +15,8 @@ from sim_bridge.plant.fdm import Fdm, InitialCondition
 from sim_bridge.plant.world import ALTITUDE_M, CALM_WAKE, UAV_INPUTS
 
 DT_S = 0.005
-STEP_RAD = {"roll": 0.05, "pitch": 0.03}
+STEP_RAD = {"roll": 0.01, "pitch": 0.004}
+"""Small, so that no limit of the references is met: what the loops do round the commands of a docking."""
 LENGTH_S = 1.5
 
 

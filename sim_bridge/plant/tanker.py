@@ -51,8 +51,8 @@ def trim_tanker(fdm: Fdm, speed_m_s: float, p_ned_m: tuple[float, float, float],
 class TankerAutopilot:
     """Holds altitude, heading and speed: pitch, bank and yaw loops with rates, thrust through the engines' lag.
 
-    Gains by hand for a short period near 2 rad/s, a bank loop near 1 rad/s and an altitude loop near 0.1 rad/s: soft, as an
-    airliner's autopilot in turbulence.
+    Gains by hand for a short period near 2 rad/s, a bank loop near 1 rad/s and an altitude loop near 0.1 rad/s: soft,
+    as an airliner's autopilot in turbulence.
     """
 
     def __init__(self, fdm: Fdm, trim: TankerTrim, heading_rad: float, altitude_down_m: float, dt_s: float) -> None:

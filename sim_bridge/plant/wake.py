@@ -44,7 +44,9 @@ def circulation_m2_s(weight_n: float, density_kg_m3: float, speed_m_s: float) ->
 class Wake:
     """Wake of a tanker in steady flight."""
 
-    def __init__(self, weight_n: float, density_kg_m3: float, speed_m_s: float, receiver: Receiver | None = None) -> None:
+    def __init__(
+        self, weight_n: float, density_kg_m3: float, speed_m_s: float, receiver: Receiver | None = None
+    ) -> None:
         """Fix the strength of the vortex."""
         r = receiver or Receiver()
         self._gamma = circulation_m2_s(weight_n, density_kg_m3, speed_m_s)
@@ -52,12 +54,12 @@ class Wake:
         self._speed = speed_m_s
 
     def increments(self, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float, float, float, float]:
-        """Return (dCD, dCL, dCm, dCl, dCn, dCY) for a receiver at (forward, right, down) of the tanker, along its heading."""
-        return increments(x_m, y_m, z_m, self._gamma, self._speed, self._fixed)  # type: ignore[no-any-return]
+        """Return (dCD, dCL, dCm, dCl, dCn, dCY) for a receiver at (forward, right, down) of the tanker."""
+        return increments(x_m, y_m, z_m, self._gamma, self._speed, self._fixed)
 
 
 @njit(cache=True, nogil=True)
-def trailing(x, dy, dz, gamma):  # type: ignore[no-untyped-def]
+def trailing(x: float, dy: float, dz: float, gamma: float) -> tuple[float, float]:
     """Return (v, w) of one leg that trails aft from x = BOUND_X_M; ``dy``, ``dz`` from the leg, gamma > 0 turns aft."""
     r2 = dy * dy + dz * dz + CORE_M * CORE_M
     behind = BOUND_X_M - x
@@ -66,7 +68,7 @@ def trailing(x, dy, dz, gamma):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def bound(x, y, z, half, gamma):  # type: ignore[no-untyped-def]
+def bound(x: float, y: float, z: float, half: float, gamma: float) -> float:
     """Return w (down) of the bound vortex between y = -half and y = half; its u is left out."""
     dx = BOUND_X_M - x
     r2 = dx * dx + z * z + CORE_M * CORE_M
@@ -76,7 +78,7 @@ def bound(x, y, z, half, gamma):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def velocity(x, y, z, gamma):  # type: ignore[no-untyped-def]
+def velocity(x: float, y: float, z: float, gamma: float) -> tuple[float, float]:
     """Return the wake's (v right, w down) in m/s at a point (forward, right, down) of the tanker."""
     half = math.pi / 8.0 * SPAN_M
     v_r, w_r = trailing(x, y - half, z, gamma)
@@ -85,7 +87,9 @@ def velocity(x, y, z, gamma):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def increments(x, y, z, gamma, speed, receiver):  # type: ignore[no-untyped-def]
+def increments(
+    x: float, y: float, z: float, gamma: float, speed: float, receiver: tuple[float, ...]
+) -> tuple[float, float, float, float, float, float]:
     """Return (dCD, dCL, dCm, dCl, dCn, dCY) by strips at +-0.10 and +-0.25 spans and points 0.35 chords fore and aft.
 
     With these strips a rolling receiver has the Clp of the vortex-lattice run, -0.158.

@@ -35,7 +35,7 @@ class World:
         self,
         tanker: TankerConfig,
         airframe: AirframeConfig,
-        start_tanker_m: tuple[float, float, float],
+        start_tanker_m: tuple[float, float, float] | Vec,
         turbulence: str,
         wake: bool,
         rng: np.random.Generator,
