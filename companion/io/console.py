@@ -118,8 +118,8 @@ class FlightConsole:
         table.add_column(style="dim", no_wrap=True)
         table.add_column(no_wrap=True)
         table.add_row("time", f"{self._seconds():.1f} s")
-        phase = Text(str(self._phase), PHASE_STYLE.get(self._phase, ""))
-        table.add_row("phase", phase.append(f"   {self._reason}", "dim"))
+        phase = Text.assemble((str(self._phase), PHASE_STYLE.get(self._phase, "")), (f"   {self._reason}", "dim"))
+        table.add_row("phase", phase)
         if self._state is not None:
             table.add_row("BR", self._br(self._state.p_mrf_br_m.tolist()))
             table.add_row("range", f"{self._state.range_m:.1f} m")
@@ -184,7 +184,7 @@ def _verdict(summary: dict[str, Any]) -> Text:
     share, hold_s = summary.get("in_window_fraction") or 0.0, summary.get("hold_s") or 0.0
     text.append(f": {100 * share:.1f} % of {hold_s:.1f} s hold inside the desired window", "")
     reached = summary.get("time_to_window_s")
-    text.append(f", reached after {reached:.1f} s" if reached is not None else ", never reached", "")
+    text.append(f", first inside after {reached:.1f} s" if reached is not None else ", never inside", "")
     if summary.get("breakaway"):
         text.append(f"; breakaway: {summary['breakaway']}", "red")
     return text
@@ -200,7 +200,7 @@ def _window_table(summary: dict[str, Any], window: WindowConfig) -> Table:
 
 def _statistics_table(summary: dict[str, Any]) -> Table:
     table = Table("BR in the hold, m", *AXES, "3D RMS", title="Accuracy (thesis Tab. 1.2)", title_justify="left")
-    solver = str(summary.get("pose_solver", "")).upper()
+    solver = str(summary.get("pose_solver", "-")).upper()
     rms = summary.get("br_rms_3d_m")
     absolute = [abs(v) for v in summary["br_mean_m"]] if summary.get("br_mean_m") else None
     table.add_row(f"ours ({solver}), |mean|", *_numbers(absolute, 4), "" if rms is None else f"{rms:.3f}")

@@ -187,7 +187,8 @@ class _Draw:
         centres = np.concatenate(rows)
         n = len(centres)
         columns = rr.Boxes2D.columns(
-            centers=centres + PIXEL_CENTRE, half_sizes=np.full((n, 2), half_px), colors=[colour] * n, labels=labels
+            centers=centres + PIXEL_CENTRE, half_sizes=np.full((n, 2), half_px), colors=[colour] * n, labels=labels,
+            radii=[rr.Radius.ui_points(0.6)] * n,
         )
         self.scene.columns(entity, times, columns.partition(lengths=[len(row) for row in rows]))
 

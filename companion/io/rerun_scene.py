@@ -27,7 +27,7 @@ from companion.io.rerun_view import APPLICATION_ID, flight_blueprint
 AXES = ("x", "y", "z")
 
 ESTIMATE = (90, 170, 255)
-TRUTH = (120, 220, 120)
+TRUTH = (245, 245, 245)
 REFERENCE = (200, 160, 255)
 DESIRED = (80, 200, 120)
 LIMIT = (235, 110, 70)

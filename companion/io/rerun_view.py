@@ -23,7 +23,7 @@ BACKGROUND = (28, 34, 44)
 def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
     """Return the layout: scene and picture above, BR against the window below, phase and log at the foot."""
     eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=(-62.0, 48.0, -8.0), look_target=(-22.0, 0.0, 8.0), eye_up=(0.0, 0.0, -1.0)
+        kind=rrb.Eye3DKind.Orbital, position=(-52.0, 36.0, -2.0), look_target=(-19.0, 2.0, 5.0), eye_up=(0.0, 0.0, -1.0)
     )
     scene = rrb.Spatial3DView(
         origin="world",
@@ -46,7 +46,7 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
         )
     ]
     more = rrb.Tabs(
-        rrb.TimeSeriesView(origin="plots/fusion", name="Fusion"),
+        rrb.TimeSeriesView(origin="plots/fusion", name="Fusion", plot_legend=rrb.Corner2D.RightTop),
         rrb.TimeSeriesView(origin="plots/range", name="Range"),
         rrb.TimeSeriesView(origin="plots/setpoint", name="Setpoint"),
         rrb.TimeSeriesView(origin="plots/latency", name="Latency, ms"),
