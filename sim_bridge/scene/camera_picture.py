@@ -34,7 +34,7 @@ from sim_bridge.scene.sky import make_sky
 from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh
 from sim_bridge.truth import BoomState
 
-LIGHT = np.array([4.0, 0.12, 0.12])
+LIGHT = (4.0, 0.12, 0.12)
 SPREAD_PX = 0.5
 NOISE = 1.2
 """Standard deviation of the sensor's noise in steps of 1/255."""
@@ -163,15 +163,18 @@ class CameraPicture:
     """Draws what the camera sees; keep one per camera, its buffers are used again."""
 
     def __init__(self, camera: CameraConfig, tanker: TankerConfig, rng: np.random.Generator, supersampling: int = 4,
-                 threads: int = 2) -> None:
-        """``rng`` shapes the sky and the sensor's noise; ``supersampling`` 3 or 4 samples per pixel and axis."""
+                 threads: int = 2, *, light: tuple[float, float, float] = LIGHT, noise: float = NOISE) -> None:
+        """Make sky and noise from ``rng``; ``supersampling`` samples per pixel and axis.
+
+        ``light`` red, green, blue of the markers in full scales; ``noise`` standard deviation in steps of 1/255.
+        """
         self.camera, self.tanker, self.supersampling, self.threads = camera, tanker, supersampling, threads
-        self._rng = rng
+        self._rng, self._light = rng, np.array(light)
         self._pinhole = pinhole_of(camera)
         self._markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
         self._sky = make_sky(rng)
         size = camera.width_px * camera.height_px * 3
-        self._noise = np.clip(np.round(NOISE * rng.standard_normal(size + NOISE_OFFSETS)), -127, 127).astype(np.int8)
+        self._noise = np.clip(np.round(noise * rng.standard_normal(size + NOISE_OFFSETS)), -127, 127).astype(np.int8)
         self._spread = point_spread()
         self._pool = ThreadPoolExecutor(max_workers=max(1, threads - 1)) if threads > 1 else None
         across, down = (-(-n // kernels.TILE) for n in (self._pinhole.width, self._pinhole.height))
@@ -219,7 +222,7 @@ class CameraPicture:
         jacobian = np.stack([self._bend(c) for c in spheres.centres])
         cover = np.zeros(picture.shape[:2], np.float32)
         lights.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, cover)
-        lights.add_lights(picture, cover, LIGHT)
+        lights.add_lights(picture, cover, self._light)
 
     def _bend(self, centre_cam: Vec) -> Vec:
         """Return how the lens moves pinhole pixels near a light, for ``rasterizer.spread_lights``."""

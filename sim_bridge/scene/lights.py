@@ -62,7 +62,7 @@ def sphere_visibility(tri: F64, box: I32, count: int, sphere: F64, lens: F64, di
     """Tell for each ray to a sphere whether no triangle is in front of it: ``seen`` (n,) 1 or 0.
 
     ``sphere`` centre in camera axes and radius; ``disc`` (n, 2) places in the unit circle, which is laid across the
-    line of sight; ``tri``, ``box``, ``count`` and ``lens`` as ``rasterizer.set_up_triangles`` has them, in samples.
+    camera's axis; ``tri``, ``box``, ``count`` and ``lens`` as ``rasterizer.set_up_triangles`` has them, in samples.
     """
     x, y, z, r = sphere[0], sphere[1], sphere[2], sphere[3]
     reach = 2.0 * r * max(lens[0], lens[1]) / z + 2.0

@@ -193,10 +193,10 @@ def belly_strip(x0: float, x1: float, y: float, half: float, paint: tuple[float,
 
 def markings() -> list[Mesh]:
     """Return the yellow centre line and the two rows of director lights under the forward fuselage (dark here)."""
-    parts = [belly_strip(13.0, 5.8, 0.0, 0.11, YELLOW), belly_strip(-7.6, -10.6, 0.0, 0.11, YELLOW)]
-    for y in (-0.62, 0.62):
-        parts.append(belly_strip(12.6, 7.4, y, 0.20, DARK))
-        parts.extend(belly_strip(x, x - 0.45, y, 0.235, c) for x, c in ((11.6, YELLOW), (10.2, GREEN), (8.8, YELLOW)))
+    parts = [belly_strip(12.6, 7.6, 0.0, 0.11, YELLOW)]
+    for y in (-0.40, 0.40):
+        parts.append(belly_strip(12.6, 7.4, y, 0.14, DARK))
+        parts.extend(belly_strip(x, x - 0.45, y, 0.165, c) for x, c in ((11.6, YELLOW), (10.2, GREEN), (8.8, YELLOW)))
     return parts
 
 

@@ -13,6 +13,8 @@ from sim_bridge.scene.rasterizer import NEAR_M
 from sim_bridge.truth import BoomState
 
 RAYS = 64
+FINE = 32
+"""Triangles that no sample of a grid this fine per pixel hits are left out: they hide nothing that counts."""
 
 
 def marker_visibility(camera: CameraConfig, tanker: TankerConfig, T_ned_tanker: SE3, T_ned_frd: SE3,
@@ -27,16 +29,16 @@ def sphere_visibility(camera: CameraConfig, points_tanker: Mat, radius_m: float,
     """Return the visible share (n,) of spheres at ``points_tanker`` (n, 3) in m, by RAYS rays to each."""
     T_ned_cam = T_ned_frd @ T_frd_cam(camera)
     pinhole, triangles = pinhole_of(camera), Triangles()
-    count = triangles.place(pinhole, 1, T_ned_tanker, T_ned_cam, boom)
+    count = triangles.place(pinhole, FINE, T_ned_tanker, T_ned_cam, boom)
     centres = (T_ned_cam.inverse() @ T_ned_tanker).transform(points_tanker)
-    disc = unit_disc(RAYS)
+    disc, lens = unit_disc(RAYS), pinhole.sample_lens(FINE)
     shares = np.zeros(len(centres))
     seen = np.empty(RAYS, np.uint8)
     for i, c in enumerate(centres):
         if c[2] <= radius_m + NEAR_M:
             continue
         sphere = np.append(c, radius_m)
-        lights.sphere_visibility(triangles.table, triangles.box, count, sphere, pinhole.lens, disc, seen)
+        lights.sphere_visibility(triangles.table, triangles.box, count, sphere, lens, disc, seen)
         uv = normalised_to_pixels(camera, (c[:2] + radius_m * disc) / c[2])
         size = np.array([camera.width_px, camera.height_px])
         shares[i] = np.mean(np.all((uv > -0.5) & (uv < size - 0.5), axis=1) & (seen == 1))
