@@ -73,7 +73,8 @@ class RerunLog:
         self.pictures_dropped = 0
         self.messages_dropped = 0
         self._queue: deque[Any] = deque()
-        self._pictures = 0
+        self._pictures_taken = 0  # written by the flight's thread only
+        self._pictures_drawn = 0  # written by ours only
         self._picture_due_ns: int | None = None
         self._kept_sequence: int | None = None
         rate_hz = setup.config.recorder.image_rate_hz
@@ -105,11 +106,11 @@ class RerunLog:
             return
         # On the grid of the rate while pictures come; from now on after a gap.
         self._picture_due_ns = max(due_ns + self._picture_step_ns, frame.t_ns + self._picture_step_ns // 2)
-        if self._pictures >= QUEUED_PICTURES:
+        if self._pictures_taken - self._pictures_drawn >= QUEUED_PICTURES:
             self.pictures_dropped += 1
             return
         self._kept_sequence = frame.sequence
-        self._pictures += 1
+        self._pictures_taken += 1
         self._put(frame)
 
     def _put(self, message: Any) -> None:
@@ -128,8 +129,8 @@ class RerunLog:
         for _ in range(len(self._queue)):
             message = self._queue.popleft()
             batch[type(message)].append(message)
-        self._pictures = max(0, self._pictures - len(batch.get(CameraFrame, ())))
         self._draw.batch(batch)
+        self._pictures_drawn += len(batch.get(CameraFrame, ()))
 
     def close(self) -> None:
         """Draw what is queued and close the file; gives up after ten seconds."""

@@ -1,0 +1,141 @@
+"""The score of a flight, on series whose score is known."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from companion.config import WindowConfig
+from companion.messages import Phase, PhaseChange
+from sim_bridge.scenario import Scenario
+from sim_bridge.scoring import Series, score, statistics
+
+WINDOW = WindowConfig()
+SCENARIO = Scenario(name="s", companion="c.toml", hold_s=20.0)
+HOLD_FROM_S = 30.0
+STEP_S = 0.02
+
+
+def approach(hold_br: np.ndarray) -> Series:
+    """From 45 m behind a straight way into B within 30 s, then the given BR (n, 3)."""
+    n = round(HOLD_FROM_S / STEP_S)
+    way = np.linspace(1.0, 0.0, n, endpoint=False)[:, None] * [-45.0, -20.0, 30.0]
+    br = np.vstack([way, hold_br])
+    return np.arange(len(br)) * round(1e9 * STEP_S), br
+
+
+def change(t_s: float, old: Phase, new: Phase) -> PhaseChange:
+    return PhaseChange(round(1e9 * t_s), old, new, f"to {new}")
+
+
+ENTERED = [change(HOLD_FROM_S, Phase.APPROACH, Phase.HOLD)]
+STILL = np.zeros((round(20.0 / STEP_S) + 1, 3))
+
+
+def excursion(axis: int, br_m: float, seconds: float) -> np.ndarray:
+    br = STILL.copy()
+    br[100 : 100 + round(seconds / STEP_S), axis] = br_m
+    return br
+
+
+def test_a_perfect_flight() -> None:
+    s = score(approach(STILL), ENTERED, WINDOW, SCENARIO)
+    assert s["docked"]
+    assert s["hold_s"] == pytest.approx(20.0)
+    assert s["in_window_fraction"] == 1.0
+    assert s["br_mean_m"] == s["br_sigma_m"] == s["br_max_m"] == [0.0, 0.0, 0.0]
+    assert s["br_rms_3d_m"] == 0.0
+    assert s["breakaway"] is None
+    # y is inside at 1.87 of 20 m, z at 0.9 of 30, x last, at 0.4 of 45: 0.267 s before the end of 30 s.
+    assert s["time_to_window_s"] == pytest.approx(29.74)
+
+
+@pytest.mark.parametrize(
+    ("br_m", "axis", "seconds", "docked", "share"),
+    [
+        (0.5, 0, 0.5, True, 0.975),  # outside desired for a moment
+        (0.5, 0, 1.2, False, 0.94),  # outside desired for too long
+        (-1.9, 1, 0.5, True, 0.975),
+        (-2.2, 1, 0.02, False, 0.999),  # one sample outside the limit
+        (2.5, 2, 0.5, True, 0.975),
+        (2.6, 2, 0.02, False, 0.999),
+        (0.40, 0, 20.0, True, 1.0),  # the edge is inside
+    ],
+)
+def test_window_and_limit(br_m: float, axis: int, seconds: float, docked: bool, share: float) -> None:
+    s = score(approach(excursion(axis, br_m, seconds)), ENTERED, WINDOW, SCENARIO)
+    assert s["docked"] is docked
+    assert s["in_window_fraction"] == pytest.approx(share, abs=1e-3)
+    assert s["br_max_m"][axis] == abs(br_m)
+
+
+def test_what_happens_before_and_after_the_hold_does_not_count() -> None:
+    t_ns, br = approach(np.vstack([STILL, np.full((500, 3), 9.0)]))
+    s = score((t_ns, br), ENTERED, WINDOW, SCENARIO)
+    assert s["docked"]
+    assert s["br_max_m"] == [0.0, 0.0, 0.0]
+
+
+def test_a_hold_cut_short_is_not_docked() -> None:
+    s = score(approach(STILL[:500]), ENTERED, WINDOW, SCENARIO)
+    assert not s["docked"]
+    assert s["hold_s"] == pytest.approx(9.98)
+    assert s["in_window_fraction"] == 1.0
+
+
+def test_a_breakaway_ends_the_hold_and_is_told() -> None:
+    phases = [*ENTERED, change(HOLD_FROM_S + 5.0, Phase.HOLD, Phase.BREAKAWAY)]
+    s = score(approach(STILL), phases, WINDOW, SCENARIO)
+    assert not s["docked"]
+    assert s["hold_s"] == pytest.approx(4.98)
+    assert s["breakaway"] == "to breakaway"
+
+
+def test_the_last_hold_counts() -> None:
+    phases = [
+        *ENTERED,
+        change(HOLD_FROM_S + 1.0, Phase.HOLD, Phase.STANDBY),
+        change(HOLD_FROM_S + 2.0, Phase.APPROACH, Phase.HOLD),
+    ]
+    br = np.vstack([STILL, np.zeros((100, 3))])
+    br[20] = 5.0  # in the first hold
+    assert score(approach(br), phases, WINDOW, SCENARIO)["docked"]
+
+
+def test_a_breakaway_as_the_hold_completes_does_not_undo_it() -> None:
+    phases = [*ENTERED, change(HOLD_FROM_S + 20.01, Phase.HOLD, Phase.BREAKAWAY)]
+    assert score(approach(STILL), phases, WINDOW, SCENARIO)["docked"]
+
+
+def test_without_a_hold_nothing_is_claimed() -> None:
+    for series in (approach(STILL), (np.empty(0, dtype=np.int64), np.empty((0, 3)))):
+        s = score(series, [], WINDOW, SCENARIO)
+        assert s["docked"] is False
+        assert s["hold_s"] == 0.0
+        assert s["in_window_fraction"] == 0.0
+        assert s["br_mean_m"] is s["br_rms_3d_m"] is None
+    assert s["time_to_window_s"] is None
+
+
+def test_the_score_is_plain_json() -> None:
+    s = score(approach(STILL), ENTERED, WINDOW, SCENARIO)
+    assert msgspec.json.decode(msgspec.json.encode(s)) == s
+
+
+@given(arrays(np.float64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.floats(-100.0, 100.0)))
+def test_statistics_agree_with_each_other(br: np.ndarray) -> None:
+    s = statistics(br)
+    mean, absolute, sigma, largest = (np.array(s[k]) for k in ("br_mean_m", "br_abs_mean_m", "br_sigma_m", "br_max_m"))
+    assert s["br_rms_3d_m"] ** 2 == pytest.approx(float((mean**2 + sigma**2).sum()), abs=1e-9)
+    assert (np.abs(mean) <= absolute + 1e-9).all()
+    assert (absolute <= largest + 1e-9).all()
+
+
+@given(st.integers(0, 2), st.floats(-3.0, 3.0), st.integers(0, 1000))
+def test_more_time_outside_never_scores_better(axis: int, br_m: float, samples: int) -> None:
+    shorter = score(approach(excursion(axis, br_m, samples * STEP_S / 2)), ENTERED, WINDOW, SCENARIO)
+    longer = score(approach(excursion(axis, br_m, samples * STEP_S)), ENTERED, WINDOW, SCENARIO)
+    assert longer["in_window_fraction"] <= shorter["in_window_fraction"]
+    assert shorter["docked"] or not longer["docked"]
