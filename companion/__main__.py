@@ -32,7 +32,9 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--pose", choices=("lhm", "glsdc"), help="pose solver")
     run.add_argument("--out", metavar="DIR", help="folder for recordings")
     run.add_argument("--run-dir", metavar="DIR", help=argparse.SUPPRESS)
+    run.add_argument("--t0-ns", type=int, help=argparse.SUPPRESS)
     run.add_argument("--stop-after-hold", type=float, metavar="S", help="end after so many seconds of hold")
+    run.add_argument("--stop-after-breakaway", type=float, metavar="S", help="end so many seconds after a breakaway")
     run.set_defaults(action=_run)
 
     view = commands.add_parser("view", help="open a recording in the Rerun viewer")
@@ -57,7 +59,8 @@ def _run(a: argparse.Namespace) -> int:
     path = Path(a.config)
     setup = assemble(_with_options(load(path, CompanionConfig), a), path.parent)
     options = app.RunOptions(
-        name=path.stem, run_dir=Path(a.run_dir) if a.run_dir else None, stop_after_hold_s=a.stop_after_hold
+        name=path.stem, run_dir=Path(a.run_dir) if a.run_dir else None, t0_ns=a.t0_ns,
+        stop_after_hold_s=a.stop_after_hold, stop_after_breakaway_s=a.stop_after_breakaway,
     )
     return app.run(setup, options)
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,16 +17,17 @@ from types import FrameType
 import numpy as np
 
 from companion.config import Setup
-from companion.geometry import SE3
+from companion.geometry import SE3, R_cam_crf
 from companion.io.camera import open_camera
 from companion.io.clock import MonotonicClock
 from companion.io.console import FlightConsole
 from companion.io.datalink import SerialDatalink
 from companion.io.mavlink import MavlinkUdp
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import CameraFrame, Output, PhaseChange
+from companion.messages import CameraFrame, Output, Phase, PhaseChange
 from companion.ports import EventSource
-from companion.runtime import Service, held_for_s, run_live
+from companion.runtime import Service, in_phase_s, run_live
+from companion.vision.camera import project
 from companion.vision.chain import VisionChain
 
 
@@ -35,16 +37,29 @@ class RunOptions:
 
     name: str = "run"
     run_dir: Path | None = None
+    t0_ns: int | None = None
     stop_after_hold_s: float | None = None
+    stop_after_breakaway_s: float | None = None
 
 
 def warm_up(setup: Setup) -> None:
-    """Compile what numba compiles, before the first picture counts."""
+    """Compile what numba compiles and load what loads late, before the first picture counts.
+
+    A picture of red squares where the markers of a tanker straight ahead would be goes through the whole chain.
+    """
     chain = VisionChain(setup.camera, setup.tanker, setup.config.vision)
     image = np.zeros((setup.camera.height_px, setup.camera.width_px, 3), dtype=np.uint8)
-    ahead = SE3(np.eye(3), np.array([0.0, 0.0, 40.0]))
-    chain.process(CameraFrame(0, 0, image), ahead)
-    chain.process(CameraFrame(0, 0, image), SE3(np.eye(3), np.array([0.0, 0.0, 30.0])))
+    ahead = SE3(R_cam_crf, np.array([0.0, 0.0, 60.0]))
+    for u, v in project(setup.camera, ahead, chain.markers).round():
+        if 0 <= u < setup.camera.width_px and 0 <= v < setup.camera.height_px:
+            image[int(v) : int(v) + 2, int(u) : int(u) + 2, 0] = 255
+    for _ in range(3):
+        chain.process(CameraFrame(0, 0, image), ahead)
+
+
+def enough(seconds: float | None) -> float:
+    """Return a time to wait for; for ever when none is given."""
+    return math.inf if seconds is None else seconds
 
 
 class Stop:
@@ -63,12 +78,13 @@ def run(setup: Setup, options: RunOptions) -> int:
     """Run the service until it is stopped; raises ConfigError before it starts. Returns the exit code."""
     links = setup.config.links
     clock = MonotonicClock()
+    t0_ns = clock.now_ns() if options.t0_ns is None else options.t0_ns
     stop = Stop()
     warm_up(setup)
     with ExitStack() as stack:
         folder = options.run_dir or create_run_folder(setup.config.recorder.out, options.name)
         folder.mkdir(parents=True, exist_ok=True)
-        recorder = stack.enter_context(RunRecorder(folder, setup, t0_ns=clock.now_ns()))
+        recorder = stack.enter_context(RunRecorder(folder, setup, t0_ns=t0_ns))
         autopilot = MavlinkUdp(links, clock, recorder.mavlink)
         stack.callback(autopilot.close)
         sources: list[EventSource] = [autopilot]
@@ -78,7 +94,7 @@ def run(setup: Setup, options: RunOptions) -> int:
             sources.append(open_camera(links.camera, setup.camera, clock, autopilot.offset_ns))
         for source in sources[1:]:
             stack.callback(source.close)
-        console = stack.enter_context(FlightConsole(setup))
+        console = stack.enter_context(FlightConsole(setup, t0_ns=t0_ns))
 
         def watch(output: Output) -> None:
             console.output(output)
@@ -88,8 +104,12 @@ def run(setup: Setup, options: RunOptions) -> int:
         service = Service(setup, clock, autopilot, recorder, watch)
 
         def done() -> bool:
-            enough = options.stop_after_hold_s
-            return stop.asked or (enough is not None and held_for_s(service, clock.now_ns()) >= enough)
+            now_ns = clock.now_ns()
+            return (
+                stop.asked
+                or in_phase_s(service, Phase.HOLD, now_ns) >= enough(options.stop_after_hold_s)
+                or in_phase_s(service, Phase.BREAKAWAY, now_ns) >= enough(options.stop_after_breakaway_s)
+            )
 
         slips = run_live(service, sources, clock, setup.config.guidance.rate_hz, done)
         recorder.write_summary({"deadline_slips": slips, "phase": str(service.phase)})

@@ -51,8 +51,8 @@ class Pipeline:
             OwnAttitude: lambda event: _only(self.blend.own_attitude_event(event)),
             OwnPosition: lambda event: _only(self.blend.own_position_event(event)),
             TankerState: lambda event: _only(self.blend.tanker_event(event)),
-            AutopilotStatus: lambda event: _none(self.approach.status_event(event)),
-            OperatorCommand: lambda event: _none(self.approach.command_event(event.command)),
+            AutopilotStatus: self._status,
+            OperatorCommand: self._command,
             Reject: lambda event: [event],
         }
 
@@ -64,6 +64,14 @@ class Pipeline:
     def handle(self, event: Event) -> list[Output]:
         """Take one event and return its outputs."""
         return self._handlers[type(event)](event)
+
+    def _status(self, status: AutopilotStatus) -> list[Output]:
+        self.approach.status_event(status)
+        return []
+
+    def _command(self, command: OperatorCommand) -> list[Output]:
+        self.approach.command_event(command.command)
+        return []
 
     def _frame(self, frame: CameraFrame) -> list[Output]:
         prior = self.blend.prior(frame.t_ns)
@@ -86,6 +94,3 @@ class Pipeline:
 def _only(reject: Reject | None) -> list[Output]:
     return [] if reject is None else [reject]
 
-
-def _none(nothing: None) -> list[Output]:
-    return []

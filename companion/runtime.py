@@ -31,7 +31,7 @@ class Service:
         self._t_ns = 0
         self._pending_exposure_ns: int | None = None
         self.latest: RelativeState | None = None
-        self.hold_since_ns: int | None = None
+        self.phase_since_ns = 0
 
     @property
     def phase(self) -> Phase:
@@ -53,7 +53,7 @@ class Service:
             elif isinstance(output, RelativeState):
                 self.latest = output
             elif isinstance(output, PhaseChange):
-                self.hold_since_ns = output.t_ns if output.new is Phase.HOLD else None
+                self.phase_since_ns = output.t_ns
         for output in outputs:  # after the setpoint has left: recording never delays it
             self._recorder.output(output)
             if self._watch is not None:
@@ -115,6 +115,6 @@ def run_live(
     return ticker.slips
 
 
-def held_for_s(service: Service, now_ns: int) -> float:
-    """Return how long the hold has lasted, 0.0 outside it."""
-    return 0.0 if service.hold_since_ns is None else (now_ns - service.hold_since_ns) * NS
+def in_phase_s(service: Service, phase: Phase, now_ns: int) -> float:
+    """Return for how long the service has been in a phase; 0.0 when it is in another."""
+    return (now_ns - service.phase_since_ns) * NS if service.phase is phase else 0.0

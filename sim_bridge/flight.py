@@ -13,14 +13,13 @@ from typing import Any
 
 from companion.app import warm_up
 from companion.config import Setup
-from companion.geometry import Vec
 from companion.io.clock import SimulatedClock
 from companion.io.datalink import TankerReceiver
 from companion.io.mavlink import AutopilotLink
 from companion.io.recorder import RunRecorder, create_run_folder
 from companion.messages import NS, Output, Phase, PhaseChange, Setpoint, Tick
 from companion.ports import Recorder
-from companion.runtime import Service, Ticker, held_for_s
+from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import score
@@ -66,25 +65,20 @@ class LockstepCompanion:
         return out
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Ending:
-    """When a flight is over, and why."""
+    """When a flight is over."""
 
     hold_s: float
     timeout_s: float
-    breakaway_ns: int | None = None
-    breakaway_reason: str | None = None
-
-    def watch(self, output: Output) -> None:
-        """Look for a breakaway among the outputs."""
-        if isinstance(output, PhaseChange) and output.new is Phase.BREAKAWAY and self.breakaway_ns is None:
-            self.breakaway_ns, self.breakaway_reason = output.t_ns, output.reason
 
     def reached(self, t_ns: int, service: Service) -> bool:
         """Tell whether the hold is over, the breakaway has been watched long enough, or time is up."""
-        if self.breakaway_ns is not None and (t_ns - self.breakaway_ns) * NS >= BREAKAWAY_WATCH_S:
-            return True
-        return held_for_s(service, t_ns) >= self.hold_s or t_ns * NS >= self.timeout_s
+        return (
+            in_phase_s(service, Phase.HOLD, t_ns) >= self.hold_s
+            or in_phase_s(service, Phase.BREAKAWAY, t_ns) >= BREAKAWAY_WATCH_S
+            or t_ns * NS >= self.timeout_s
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,58 +89,43 @@ class Flown:
     summary: dict[str, Any]
 
 
-class Progress:
-    """What a flight tells while it goes on; the default says nothing."""
+def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None = None) -> Flown:
+    """Fly a scenario in lockstep and record it; ``watch`` sees every output of the companion.
 
-    def step(self, truth: Truth, p_mrf_br_m: Vec, service: Service) -> None:
-        """Take the truth at 50 Hz."""
-
-    def output(self, output: Output) -> None:
-        """Take every output of the companion."""
-
-
-def fly(scenario: Scenario, setup: Setup, progress: Progress | None = None) -> Flown:
-    """Fly a scenario in lockstep and record it; raises ConfigError and PlantError before the flight only.
-
-    A plant that fails in flight ends it; the summary says so.
+    Raises ConfigError and PlantError before the flight only: a plant that fails in flight ends it, and the summary says
+    so.
     """
-    progress = progress or Progress()
     warm_up(setup)
     simulation = Simulation(scenario, setup)
     folder = create_run_folder(setup.config.recorder.out, scenario.name)
+    phases: list[PhaseChange] = []
+
+    def see_output(output: Output) -> None:
+        if isinstance(output, PhaseChange):
+            phases.append(output)
+        if watch is not None:
+            watch(output)
+
     box = BoxTruth(setup, scenario.heading_rad)
-    ending = Ending(scenario.hold_s, scenario.timeout_s)
-
-    def watch(output: Output) -> None:
-        ending.watch(output)
-        progress.output(output)
-
     with RunRecorder(folder, setup) as recorder, TruthLog(folder, setup) as truth_log:
-        companion = LockstepCompanion(setup, recorder, watch)
-        failure = _run(simulation, companion, ending, lambda truth: _see(truth, box, truth_log, progress, companion))
-        result = score(truth_log.series(), truth_log.phases(), setup.tanker.window, scenario)
-        summary = recorder.write_summary({
-            **result, "seed": scenario.seed, "scenario": scenario.name, "breakaway": ending.breakaway_reason,
-            "plant_failure": failure,
-        })
+        companion = LockstepCompanion(setup, recorder, see_output)
+        ending = Ending(scenario.hold_s, scenario.timeout_s)
+        failure = run(simulation, companion, ending, lambda truth: truth_log.append(truth, box.p_mrf_br_m(truth)))
+        result = score(truth_log.series(), phases, setup.tanker.window, scenario)
+        summary = recorder.write_summary(
+            {**result, "seed": scenario.seed, "scenario": scenario.name, "plant_failure": failure}
+        )
     return Flown(folder, summary)
 
 
-def _see(truth: Truth, box: BoxTruth, log: TruthLog, progress: Progress, companion: LockstepCompanion) -> None:
-    br = box.p_mrf_br_m(truth)
-    log.append(truth, br)
-    progress.step(truth, br, companion.service)
-
-
-def _run(
+def run(
     simulation: Simulation, companion: LockstepCompanion, ending: Ending, see: Callable[[Truth], None]
 ) -> str | None:
-    """Step until the ending; return what the plant failed of, or None."""
+    """Step until the ending, ``see`` the truth at 50 Hz; return what the plant failed of, or None."""
     step = 0
     while not ending.reached(simulation.truth.t_ns, companion.service):
-        truth = simulation.truth
         if step % TRUTH_EVERY == 0:
-            see(truth)
+            see(simulation.truth)
         try:
             arrivals = simulation.step()
         except PlantError as error:

@@ -78,9 +78,13 @@ def wait_for_companion(transport: UdpTransport, stop: Callable[[], bool]) -> boo
 
 def serve(
     scenario: Scenario, setup: Setup, stop: Callable[[], bool], see: Callable[[Truth], None],
-    started: Callable[[], None] | None = None,
+    ready: Callable[[], None], heard: Callable[[], None] = lambda: None,
 ) -> Served:
-    """Serve one flight until ``stop``; ``see`` takes the truth at 50 Hz. Raises ConfigError when a wire is not free."""
+    """Serve one flight until ``stop``; ``see`` takes the truth at 50 Hz.
+
+    ``ready`` is called when all wires are up, ``heard`` when a companion has answered. Raises ConfigError when a wire
+    is not free.
+    """
     links = setup.config.links
     with ExitStack() as stack:
         transport = UdpTransport("mavlink", companion_end(links.mavlink))
@@ -91,10 +95,10 @@ def serve(
         stack.callback(camera.close)
         executor = stack.enter_context(ThreadPoolExecutor(1))
         simulation = Simulation(scenario, setup, PtyLine(pty), executor)
+        ready()
         if not wait_for_companion(transport, stop):
             return Served(0.0, 0, None)
-        if started is not None:
-            started()
+        heard()
         return _pace(simulation, transport, camera, stop, see)
 
 

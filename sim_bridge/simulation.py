@@ -119,8 +119,8 @@ class Simulation:
         return self.world.truth
 
     def feed_mavlink(self, data: bytes) -> None:
-        """Give the autopilot bytes from the companion."""
-        self.autopilot.feed(data, self.truth.t_ns)
+        """Give the autopilot bytes from the companion; its answers come with the next step."""
+        self.autopilot.feed(data, self.world.t_ns)
 
     def step(self) -> Arrivals:
         """Run one step; return what arrives at the companion at its instant."""

@@ -46,6 +46,7 @@ class Approach:
         self._engaged = config.auto_engage
         self._command: Command | None = None
         self._status: AutopilotStatus | None = None
+        self._estimate_ns: int | None = None
         self._settled_since: int | None = None
         self._captured_since: int | None = None
 
@@ -69,6 +70,8 @@ class Approach:
     def step(self, t_ns: int, state: RelativeState | None) -> list[Output]:
         """Run one step; at most one Setpoint is among the outputs."""
         outputs: list[Output] = []
+        if state is not None:
+            self._estimate_ns = state.estimate_t_ns
         change = self._machine.step(t_ns, self._situation(t_ns, state))
         self._command = None
         if change is not None:
@@ -89,11 +92,12 @@ class Approach:
     def _situation(self, t_ns: int, state: RelativeState | None) -> Situation:
         s = self._status
         guided = s is not None and s.mode is AutopilotMode.GUIDED and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
+        age_s = None if self._estimate_ns is None else (t_ns - self._estimate_ns) * NS
         if state is None:
-            return Situation(None, guided, self._engaged, self._command)
+            return Situation(age_s, guided, self._engaged, self._command)
         error = state.p_mrf_br_m - self._reference(t_ns).p_m
         return Situation(
-            estimate_age_s=(t_ns - state.estimate_t_ns) * NS,
+            estimate_age_s=age_s,
             guided=guided,
             engaged=self._engaged,
             command=self._command,

@@ -1,0 +1,150 @@
+"""Command line of the simulator.
+
+Exit codes: 0 docked and held, 2 bad input (one line on stderr says what to mend), 3 ended safely without docking,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+
+import msgspec
+
+from companion import __version__
+from companion.config import FIRMWARE_CONFIGS, ConfigError, Setup
+from companion.io.console import FlightConsole, result_table
+from sim_bridge import linearize
+from sim_bridge.flight import Flown, fly
+from sim_bridge.plant.fdm import PlantError
+from sim_bridge.scenario import Scenario, load_scenario
+from sim_bridge.serve import serve
+from sim_bridge.sitl import fly_sitl
+
+DOCKED, BAD_INPUT, NOT_DOCKED, INTERRUPTED = 0, 2, 3, 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line."""
+    p = argparse.ArgumentParser(prog="sim-bridge", description="Two aircraft, weather, sensors, camera, autopilot.")
+    p.add_argument("--version", action="version", version=__version__)
+    commands = p.add_subparsers(dest="command", required=True)
+    _flight(commands.add_parser("fly", help="fly a scenario in lockstep, one process, faster than real time"), _fly)
+    _flight(commands.add_parser("sitl", help="fly a scenario as two processes on the wall clock"), _sitl)
+    s = commands.add_parser("serve", help="simulate on the wall clock and wait for a companion of yours")
+    _scenario(s)
+    s.add_argument("--mavlink", metavar="URL", help="where the companion listens, e.g. udpin:127.0.0.1:14540")
+    s.add_argument("--datalink", metavar="PTY_LINK", help="name of the link to the tanker's serial line")
+    s.add_argument("--camera", metavar="ENDPOINT", help="where pictures go out, e.g. tcp://127.0.0.1:14560")
+    s.set_defaults(action=_serve)
+    lin = commands.add_parser("linearize", help="trim and linearise the receiver; print A, B, modes")
+    lin.add_argument("--write", nargs="?", const=str(FIRMWARE_CONFIGS / "airframes" / "ice101.toml"), metavar="FILE",
+                     help="write the airframe data that the companion uses")
+    lin.set_defaults(action=_linearize)
+    return p
+
+
+def _scenario(p: argparse.ArgumentParser) -> None:
+    p.add_argument("scenario", nargs="?", default="docking", metavar="SCENARIO",
+                   help="a scenario file or the name of a shipped one (default: docking)")
+    p.add_argument("--seed", type=int, help="seed of gusts and sensors")
+
+
+def _flight(p: argparse.ArgumentParser, action: Callable[[argparse.Namespace], int]) -> None:
+    _scenario(p)
+    p.add_argument("--pose", choices=("lhm", "glsdc"), help="pose solver")
+    p.add_argument("--law", choices=("attitude",), help="docking law")
+    p.add_argument("--fusion", choices=("blend",), help="fusion of GPS and vision")
+    p.add_argument("--out", metavar="DIR", help="folder for recordings (default: runs)")
+    p.set_defaults(action=action)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Parse and run; bad input ends in one line on stderr and exit code 2."""
+    arguments = parser().parse_args(argv)
+    action: Callable[[argparse.Namespace], int] = arguments.action
+    try:
+        return action(arguments)
+    except (ConfigError, PlantError) as error:
+        print(f"sim-bridge: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
+    """Load the scenario and its companion configuration with what the command line says in place."""
+    replace = msgspec.structs.replace
+    scenario = load_scenario(a.scenario)
+    if a.seed is not None:
+        if a.seed < 0:
+            msg = f"--seed {a.seed}: must not be negative"
+            raise ConfigError(msg)
+        scenario = replace(scenario, seed=a.seed)
+    setup = scenario.setup()
+    config = setup.config
+    given = {k: v for k in ("mavlink", "camera") if (v := getattr(a, k, None)) is not None}
+    if getattr(a, "datalink", None) is not None:
+        given["datalink"] = f"{a.datalink},{scenario.datalink.rate_baud}"
+    config = replace(config, links=replace(config.links, **given))
+    if getattr(a, "pose", None) is not None:
+        config = replace(config, vision=replace(config.vision, solver=a.pose))
+    if getattr(a, "out", None) is not None:
+        config = replace(config, recorder=replace(config.recorder, out=a.out))
+    return scenario, replace(setup, config=config)
+
+
+def _fly(a: argparse.Namespace) -> int:
+    scenario, setup = load(a)
+    with FlightConsole(setup) as console:
+        flown = fly(scenario, setup, console.output)
+    return _told(flown, setup)
+
+
+def _sitl(a: argparse.Namespace) -> int:
+    scenario, setup = load(a)
+    return _told(fly_sitl(scenario, setup), setup)
+
+
+def _told(flown: Flown, setup: Setup) -> int:
+    print(result_table(flown.summary, setup.tanker.window))
+    print(f"recording: {flown.folder}   (look at it: make view)")
+    return DOCKED if flown.summary["docked"] else NOT_DOCKED
+
+
+def _serve(a: argparse.Namespace) -> int:
+    scenario, setup = load(a)
+    asked = False
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        asked = True
+
+    signal.signal(signal.SIGINT, ask)
+    signal.signal(signal.SIGTERM, ask)
+    links = setup.config.links
+    wires = f"calling a companion at {links.mavlink}; tanker on {links.datalink}; pictures on {links.camera}"
+    served = serve(
+        scenario, setup, lambda: asked, lambda truth: None,
+        lambda: print(wires, flush=True), lambda: print("companion heard: flying", flush=True),
+    )
+    print(f"served {served.flown_s:.1f} s, {served.late_steps} steps late"
+          + (f", plant failed: {served.plant_failure}" if served.plant_failure else ""))
+    return DOCKED
+
+
+def _linearize(a: argparse.Namespace) -> int:
+    result = linearize.linearize()
+    print(linearize.report(result))
+    if a.write:
+        linearize.write_airframe(Path(a.write))
+        print(f"written: {a.write}")
+    return DOCKED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
