@@ -29,6 +29,7 @@ from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import T_frd_cam, normalised_to_pixels, pixels_to_normalised
 from sim_bridge.scene import lights
 from sim_bridge.scene import rasterizer as kernels
+from sim_bridge.scene.ambient import shade_recesses
 from sim_bridge.scene.meshing import Mesh, merge
 from sim_bridge.scene.sky import make_sky
 from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh
@@ -64,7 +65,7 @@ class Spheres:
 @lru_cache(maxsize=1)
 def scene_mesh() -> tuple[Mesh, NDArray[np.int32]]:
     """Return tanker, boom and telescope as one mesh, and the part (0, 1, 2) of every vertex."""
-    parts = [tanker_mesh(), *boom_mesh()]
+    parts = [shade_recesses(tanker_mesh()), *boom_mesh()]
     part = np.repeat(np.arange(3), [len(p.vertices) for p in parts]).astype(np.int32)
     return merge(parts), part
 

@@ -200,6 +200,19 @@ def draw_triangle(row: F64, index: int, bounds: I32, x0: int, y0: int, depth: F3
 
 
 @kernel
+def draw_depth(xyz: F64, triangles: I32, lens: F64, size: I32, tri: F64, box: I32) -> F32:
+    """Return 1/z (n, n) of a square picture of ``size`` with one sample per pixel, 0 where there is nothing.
+
+    ``tri`` and ``box`` are work space with a row per triangle, enough when all are ahead of the camera.
+    """
+    count = set_up_triangles(xyz, xyz, triangles, lens, size, tri, box)
+    depth, ident = np.zeros((size[0], size[0]), np.float32), np.empty((size[0], size[0]), np.int32)
+    for t in range(count):
+        draw_triangle(tri[t], t, box[t], 0, 0, depth, ident)
+    return depth
+
+
+@kernel
 def draw_spheres(spheres: F64, box: I32, offset: I32, fine: I32, mask: U8, lens: F64, x0: int, y0: int, depth: F32,
                  ss: int) -> None:
     """Mark in ``mask`` the samples of each sphere that are in front of the tile's depth buffer.

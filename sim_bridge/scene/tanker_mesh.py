@@ -71,17 +71,34 @@ def wing_station(y: float) -> tuple[float, float, float]:
 
 
 def fuselage() -> Mesh:
-    """Return the fuselage with the cockpit's dark windows."""
+    """Return the fuselage."""
     rings = [ring(np.array([x, 0.0, 0.5 * (t + b)]), w, 0.5 * (b - t), 0.5 * (b - t), 32) for x, t, b, w in FUSELAGE]
 
     def paint(p: Mat) -> Mat:
-        colours = np.tile(np.array(GREY), (len(p), 1))
-        glass = (p[:, 0] > 15.5) & (p[:, 0] < 17.2) & (p[:, 2] < -0.75) & (p[:, 2] > -1.75)
-        colours[glass] = DARK
-        colours[(p[:, 0] > 19.2)] = METAL
-        return colours
+        return np.where(p[:, :1] > 19.2, np.array(METAL), np.array(GREY))
 
     return loft(np.stack(rings), paint)
+
+
+def skin_station(x: float) -> tuple[float, float, float]:
+    """Return top, bottom and half-width of the fuselage at station x."""
+    top, bottom, width = (float(np.interp(-x, -FUSELAGE[:, 0], FUSELAGE[:, n])) for n in (1, 2, 3))
+    return top, bottom, width
+
+
+def windscreen(low: float, high: float) -> Mesh:
+    """Return dark panes on the skin of the nose between two angles from its top, in rad."""
+    angles = np.linspace(low, high, 7)
+    sections = []
+    for x in (17.25, 17.0, 16.65, 16.3, 16.05):
+        top, bottom, width = skin_station(x)
+        middle, half = 0.5 * (top + bottom), 0.5 * (bottom - top)
+        arcs = [
+            np.column_stack([np.full(7, x), (width + d) * np.sin(a), middle - (half + d) * np.cos(a)])
+            for a, d in ((angles, 0.02), (angles[::-1], -0.10))
+        ]
+        sections.append(np.concatenate(arcs))
+    return loft(np.stack(sections), BLACK)
 
 
 def spindle(x: list[float], half_y: list[float], top: float, bottom: list[float], paint: tuple[float, float, float],
@@ -181,7 +198,7 @@ def belly_strip(x0: float, x1: float, y: float, half: float, paint: tuple[float,
     """Return a thin strip on the underside of the fuselage from x0 down to x1 at lateral offset y."""
     sections = []
     for x in np.linspace(x0, x1, max(2, int((x0 - x1) / 1.0) + 1)):
-        top, bottom, width = (float(np.interp(-x, -FUSELAGE[:, 0], FUSELAGE[:, n])) for n in (1, 2, 3))
+        top, bottom, width = skin_station(float(x))
         z = 0.5 * (top + bottom) + 0.5 * (bottom - top) * np.sqrt(max(0.0, 1.0 - (y / width) ** 2))
         edge = np.array([[-half, -0.05], [half, -0.05], [half, 0.03], [-half, 0.03]])
         tilt = -np.sign(y) * np.arcsin(min(1.0, abs(y) / width))
@@ -214,8 +231,9 @@ def tanker_mesh() -> Mesh:
     )
     window = spindle([-15.4, -15.7, -16.2, -16.5], [0.20, 0.34, 0.32, 0.18], 1.0, [1.75, 1.86, 1.74, 1.5], DARK)
     fork = revolution([-15.9, -16.3, -16.75, -16.95], [0.10, 0.34, 0.30, 0.05], (0.0, 1.92), 16, METAL)
+    panes = [windscreen(a, b) for a, b in ((-1.25, -0.78), (-0.72, -0.05), (0.05, 0.72), (0.78, 1.25))]
     return merge(
-        [fuselage(), keel, pod, window, fork, fin(), *markings(), *halves, *(h.mirrored() for h in halves)]
+        [fuselage(), *panes, keel, pod, window, fork, fin(), *markings(), *halves, *(h.mirrored() for h in halves)]
     )
 
 
