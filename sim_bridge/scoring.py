@@ -25,7 +25,7 @@ Series = tuple[NDArray[np.int64], Mat]
 """t_ns (n,) and BR (n, 3) in m, from box B to receptacle R in ``mrf``."""
 
 EDGE_S = 0.05
-"""A hold may lack this much at its end: truth comes at 50 Hz, guidance steps between."""
+"""A hold may lack this much at its end, where companion and simulator stop one after the other."""
 
 
 def score(series: Series, phases: Sequence[PhaseChange], window: WindowConfig, scenario: Scenario) -> dict[str, Any]:
@@ -36,10 +36,11 @@ def score(series: Series, phases: Sequence[PhaseChange], window: WindowConfig, s
     distance; ``time_to_window_s`` from the first truth to the first inside the desired window, over the whole flight.
     """
     t_ns, br = series
-    held = in_hold(t_ns, phases, scenario.hold_s)
+    start_ns, end_ns = hold_of(t_ns, phases, scenario.hold_s)
+    held = (t_ns >= start_ns) & (t_ns < end_ns)
     desired = inside(br, window.desired_m)
     hold = br[held]
-    hold_s = float(t_ns[held][-1] - t_ns[held][0]) * NS if held.any() else 0.0
+    hold_s = (end_ns - start_ns) * NS if held.any() else 0.0
     share = float(desired[held].mean()) if held.any() else 0.0
     complete = hold_s >= scenario.hold_s - EDGE_S
     within_limit = bool(inside(hold, window.limit_m).all())
@@ -54,17 +55,15 @@ def score(series: Series, phases: Sequence[PhaseChange], window: WindowConfig, s
     }
 
 
-def in_hold(t_ns: NDArray[np.int64], phases: Sequence[PhaseChange], hold_s: float) -> NDArray[np.bool_]:
-    """Return which instants (n,) belong to the hold."""
+def hold_of(t_ns: NDArray[np.int64], phases: Sequence[PhaseChange], hold_s: float) -> tuple[int, int]:
+    """Return start and end of the hold in ns, the same instant when there is none; a truth stands for its step."""
     entries = [k for k, change in enumerate(phases) if change.new is Phase.HOLD]
-    if not entries:
-        return np.zeros(len(t_ns), dtype=np.bool_)
+    if not entries or len(t_ns) < 2:
+        return 0, 0
     start_ns = phases[entries[-1]].t_ns
-    end_ns = start_ns + round(hold_s / NS)
     left = [change.t_ns for change in phases[entries[-1] + 1 :]]
-    if left and left[0] <= end_ns:
-        return (t_ns >= start_ns) & (t_ns < left[0])
-    return (t_ns >= start_ns) & (t_ns <= end_ns)
+    truth_end_ns = int(t_ns[-1] + (t_ns[-1] - t_ns[-2]))
+    return start_ns, max(start_ns, min([start_ns + round(hold_s / NS), truth_end_ns, *left[:1]]))
 
 
 def inside(br: Mat, half_m: Sequence[float]) -> NDArray[np.bool_]:

@@ -248,7 +248,7 @@ class _Draw:
         """Draw the phase as a band and in the log."""
         times = self.scene.times([c.t_ns for c in changes])
         self.scene.columns("phase", times, rr.StateChange.columns(state=[c.new.value for c in changes]))
-        self.scene.texts("log", [(c.t_ns, "INFO", f"{c.old} -> {c.new}: {c.reason}") for c in changes])
+        self.scene.texts("log/phase", [(c.t_ns, "INFO", f"{c.old} -> {c.new}: {c.reason}") for c in changes])
 
     def rejects(self, rejects: list[Reject]) -> None:
         """Write rejects to the log, one of a kind per second."""
@@ -258,7 +258,7 @@ class _Draw:
                 self._reject_due_ns[r.source, r.reason] = r.t_ns + REJECT_PAUSE_NS
                 rows.append((r.t_ns, "WARN", f"{r.source}: {r.reason} {r.detail}".rstrip()))
         if rows:
-            self.scene.texts("log", rows)
+            self.scene.texts("log/rejects", rows)
 
     def latencies(self, rows: list[tuple[int, str, int]]) -> None:
         """Draw how long the stages took, in ms."""

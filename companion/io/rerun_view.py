@@ -19,11 +19,14 @@ APPLICATION_ID = "refuel-companion"
 LOOPBACK = "127.0.0.1"
 BACKGROUND = (28, 34, 44)
 
+SETTLE_S = 2.0
+"""How long the viewer may take to draw the instant that it was sent to."""
+
 
 def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
     """Return the layout: scene and picture above, BR against the window below, phase and log at the foot."""
     eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=(-52.0, 36.0, -2.0), look_target=(-19.0, 2.0, 5.0), eye_up=(0.0, 0.0, -1.0)
+        kind=rrb.Eye3DKind.Orbital, position=(-64.0, 38.0, 2.0), look_target=(-23.0, -1.0, 8.5), eye_up=(0.0, 0.0, -1.0)
     )
     scene = rrb.Spatial3DView(
         origin="world",
@@ -34,11 +37,15 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
         eye_controls=eye,
     )
     camera = rrb.Spatial2DView(origin="world/uav/camera", contents="world/uav/camera/image/**", name="Camera")
+    whole = rrb.TimeAxis(
+        view_range=rrb.TimeRange(rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite())
+    )
     br = [
         rrb.TimeSeriesView(
             origin=f"plots/br/{axis}",
             name=f"BR {axis} ({what}), m: ±{desired_m:.2f} desired, ±{limit_m:.2f} limit",
             axis_y=rrb.ScalarAxis(range=(-1.5 * limit_m, 1.5 * limit_m), zoom_lock=False),
+            axis_x=whole,
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=axis == "x"),
         )
         for axis, what, desired_m, limit_m in zip(
@@ -46,13 +53,13 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
         )
     ]
     more = rrb.Tabs(
-        rrb.TimeSeriesView(origin="plots/fusion", name="Fusion", plot_legend=rrb.Corner2D.RightTop),
-        rrb.TimeSeriesView(origin="plots/range", name="Range"),
-        rrb.TimeSeriesView(origin="plots/setpoint", name="Setpoint"),
-        rrb.TimeSeriesView(origin="plots/latency", name="Latency, ms"),
+        rrb.TimeSeriesView(origin="plots/fusion", name="Fusion", axis_x=whole, plot_legend=rrb.Corner2D.RightTop),
+        rrb.TimeSeriesView(origin="plots/range", name="Range", axis_x=whole),
+        rrb.TimeSeriesView(origin="plots/setpoint", name="Setpoint", axis_x=whole),
+        rrb.TimeSeriesView(origin="plots/latency", name="Latency, ms", axis_x=whole),
     )
     foot = rrb.Horizontal(
-        rrb.StateTimelineView(origin="phase", name="Phase"),
+        rrb.StateTimelineView(origin="phase", name="Phase", time_view=whole),
         rrb.TextLogView(origin="log", name="Log", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])),
         column_shares=[3, 2],
     )
@@ -122,11 +129,15 @@ def screenshot(run_dir: Path | str, png: Path | str, time_s: float | None = None
             client.set_time("sim_time", play_state="following")
         else:
             client.set_time("sim_time", duration=time_s, play_state="paused")
-        time.sleep(2.0)
+        time.sleep(SETTLE_S)
         client.save_screenshot(str(Path(png).resolve()))
+    except (RuntimeError, ConnectionError) as error:
+        reason = str(error).partition("\n")[0]
+        msg = f"{png}: the viewer drew no picture ({reason})"
+        raise ConfigError(msg) from None
     finally:
-        viewer.terminate()
-        viewer.wait(timeout=10)
+        viewer.kill()
+        viewer.wait()
 
 
 def _free_port() -> int:

@@ -213,6 +213,6 @@ if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True)
     with RunRecorder(folder, synthetic_setup()) as recorder, TruthLog(folder, synthetic_setup()) as truth_log:
-        record(recorder, synthetic_setup(), 60.0)
-        for truth, br in truths(synthetic_setup(), 60.0):
+        record(recorder, synthetic_setup(), 110.0)
+        for truth, br in truths(synthetic_setup(), 110.0):
             truth_log.append(truth, br)

@@ -126,9 +126,10 @@ def test_phases_and_rejects_are_told(drawn: Columns) -> None:
     band = drawn["/phase"]
     assert list(np.ravel(band["state"])) == ["standby", "join", "approach"]
     assert [phase_at(t).value for t in seconds(band)] == ["standby", "join", "approach"]
-    lines = list(np.ravel(drawn["/log"]["text"]))
-    assert "join -> approach: by the clock" in lines
-    assert sum("datalink: checksum" in line for line in lines) == 2
+    assert "join -> approach: by the clock" in np.ravel(drawn["/log/phase"]["text"])
+    rejects = drawn["/log/rejects"]
+    assert list(np.ravel(rejects["text"])) == 2 * ["datalink: checksum frame of 55 bytes"]
+    assert list(np.ravel(rejects["level"])) == ["WARN", "WARN"]
 
 
 def test_both_files_of_a_run_are_one_recording(folder: Path) -> None:
