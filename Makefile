@@ -62,5 +62,8 @@ check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	@$(BIN)/python -m pytest -q -m bench -s tests/bench $(ARGS)
 
+figures: $(VENV)/.dev
+	@$(BIN)/python -m sim_bridge.figures --out docs
+
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -6,6 +6,8 @@ same seed gives the same bits.
 
 from __future__ import annotations
 
+import resource
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -110,10 +112,17 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
     with RunRecorder(folder, setup) as recorder, TruthLog(folder, setup) as truth_log:
         companion = LockstepCompanion(setup, recorder, see_output)
         ending = Ending(scenario.hold_s, scenario.timeout_s)
+        start_ns = time.perf_counter_ns()
         failure = run(simulation, companion, ending, lambda truth: truth_log.append(truth, box.p_mrf_br_m(truth)))
+        wall_ns = time.perf_counter_ns() - start_ns
         result = score(truth_log.series(), phases, setup.tanker.window, scenario)
         summary = recorder.write_summary(
-            {**result, "seed": scenario.seed, "scenario": scenario.name, "plant_failure": failure}
+            {
+                **result, "seed": scenario.seed, "scenario": scenario.name, "plant_failure": failure,
+                "flown_s": simulation.truth.t_ns * NS,
+                "real_time_factor": round(simulation.truth.t_ns / wall_ns, 2),
+                "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
+            }
         )
     return Flown(folder, summary)
 
