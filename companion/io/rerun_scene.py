@@ -11,6 +11,7 @@ Rules
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,13 +73,13 @@ class SceneStream:
     """One .rrd file. Both files of a run carry its recording id, so that the viewer shows them as one recording."""
 
     def __init__(self, path: Path, setup: Setup, t0_ns: int, recording_id: str) -> None:
+        self.rec = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id)
         try:
             path.open("wb").close()
-        except OSError as error:
-            msg = f"{path}: cannot be written ({error.strerror}); give another folder with --out"
+            self.rec.save(path, default_blueprint=flight_blueprint(setup.tanker.window))
+        except (OSError, RuntimeError) as error:  # the SDK's own word for a disk that is full is RuntimeError
+            msg = f"{path}: cannot be written ({error}); give another folder with --out"
             raise ConfigError(msg) from None
-        self.rec = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id)
-        self.rec.save(path, default_blueprint=flight_blueprint(setup.tanker.window))
         self.rec.send_recording_name(recording_id)
         self._t0_ns = t0_ns
 
@@ -120,8 +121,12 @@ class SceneStream:
         self.static(entity, rr.SeriesLines(names=list(names), colors=[colour] * n, widths=[width] * n))
 
     def close(self) -> None:
-        """Flush, waiting five seconds at most, and close the file."""
-        self.rec.flush(timeout_sec=5.0)
+        """Flush, waiting five seconds at most, and close the file.
+
+        A disk that has filled up meanwhile ends the file early; the SDK has said so on stderr by then.
+        """
+        with suppress(RuntimeError):
+            self.rec.flush(timeout_sec=5.0)
         self.rec.disconnect()
 
 

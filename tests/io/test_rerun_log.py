@@ -1,5 +1,6 @@
 """flight.rrd read back without a viewer: what is drawn is what was flown."""
 
+import resource
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -188,6 +189,24 @@ def test_a_queue_that_is_full_drops_pictures_and_says_so(tmp_path: Path) -> None
     assert log.pictures_dropped > 0
     assert log.pictures_dropped + len(drawn) == 2 * QUEUED_PICTURES
     assert drawn[:QUEUED_PICTURES] == list(range(QUEUED_PICTURES))
+
+
+def test_a_disk_that_fills_up_costs_the_end_of_the_recording_only(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    log = RerunLog(tmp_path / "flight.rrd", synthetic_setup())
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+        record(log, synthetic_setup(), 3.0)
+        log.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / "flight.rrd").stat().st_size == 100_000
+
+
+def test_a_disk_that_is_full_from_the_start_is_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "flight.rrd").symlink_to("/dev/full")
+    with pytest.raises(ConfigError, match=r"cannot be written \(.*No space left on device.*--out"):
+        RerunLog(tmp_path / "flight.rrd", synthetic_setup())
 
 
 def test_bad_folders_and_no_display_are_one_clear_line(
