@@ -48,15 +48,21 @@ class LockstepCompanion:
         """Encode a setpoint for the autopilot: this class is its own sink."""
         self._out += self.link.encode_setpoint(setpoint, self.clock.now_ns()) or b""
 
+    def hear(self, data: bytes) -> None:
+        """Take bytes of the autopilot."""
+        if data:
+            for event in self.link.receive(data, self.clock.now_ns()):
+                self.service.dispatch(event)
+
     def arrive(self, arrivals: Arrivals) -> bytes:
         """Take what arrives at one instant; return what leaves at it."""
         t_ns = arrivals.t_ns
         self.clock.set_ns(t_ns)
         dispatch = self.service.dispatch
-        for event in self.link.receive(arrivals.mavlink, t_ns):
-            dispatch(event)
-        for event in self._datalink.receive(arrivals.datalink, t_ns, self.link.offset_ns):
-            dispatch(event)
+        self.hear(arrivals.mavlink)
+        if arrivals.datalink:
+            for event in self._datalink.receive(arrivals.datalink, t_ns, self.link.offset_ns):
+                dispatch(event)
         if self.link.offset_ns is not None:
             for frame in arrivals.frames:
                 dispatch(replace(frame, t_ns=self.link.to_companion_ns(frame.t_ns)))
@@ -139,6 +145,7 @@ def run(
             arrivals = simulation.step()
         except PlantError as error:
             return str(error)
-        simulation.feed_mavlink(companion.arrive(arrivals))
+        # Answers come at once, as over a wire without delay: the round trip of TIMESYNC is exact.
+        companion.hear(simulation.feed_mavlink(companion.arrive(arrivals)))
         step += 1
     return None

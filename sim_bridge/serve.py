@@ -117,7 +117,7 @@ def _pace(
             next_ns += behind_ns - LATE_NS  # stretch: never a burst of steps to catch up
         next_ns += STEP_NS
         for data, _ in transport.poll():
-            simulation.feed_mavlink(data)
+            transport.send(simulation.feed_mavlink(data))
         if step % TRUTH_EVERY == 0:
             see(simulation.truth)
         try:
