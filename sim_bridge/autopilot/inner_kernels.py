@@ -17,6 +17,11 @@ ROLL_MAX = (0.35, 5.0, 40.0)
 PITCH_MAX = (0.12, 1.5, 15.0)
 """Limits of the references: rate (rad/s), acceleration, its slope; well inside what flaps of 150 deg/s can follow."""
 
+NEWTON_STEPS = 12
+HALVINGS = 12
+MISS = (0.02, 0.02, 0.01)
+"""Inverse price of the square of a missed roll, pitch and yaw acceleration (rad^2/s^4)."""
+
 # Places in the law's state vector.
 ROLL_SUM, PITCH_SUM = 0, 1  # integrals of the attitude errors
 GIVEN = 2  # three: angular accelerations that the effectors give by now, by the lag of the design model
@@ -182,19 +187,61 @@ def direct_lift(m: Motion, law: Vec, c: Constants) -> float:
 
 @njit(cache=True, nogil=True)
 def allocate(p_acc: float, q_acc: float, r_acc: float, c: Constants, low: Vec, high: Vec, now: Vec) -> None:
-    """Move the deflections ``now`` (9,) so that they give the three angular accelerations.
+    """Move the deflections ``now`` (9,) so that they give the three angular accelerations with the least moves.
 
-    Least squares with weight 1 / ``squares`` over the surfaces that are free within ``low`` and ``high`` (9,); those
-    that saturate keep their limit and their share goes to the others, three times at most.
+    Exact, with weights 1 / ``squares``, while nothing meets ``low`` or ``high`` (9,). Else the least sum of the moves'
+    squares and the ``MISS``-priced squares of what is missed: its optimum is clip(start + squares moments^T y) with
+    missed = MISS y, and Newton's method on this piecewise linear equation in three unknowns finds y in a few steps.
     """
-    free = c.squares.copy()
-    missing = np.array((p_acc, q_acc, r_acc))
+    start = now.copy()
+    wanted = np.array((p_acc, q_acc, r_acc))
     for a in range(3):
-        missing[a] -= moment_of(c.moments, a, now)
-    for _ in range(3):
-        y, solved = solve3(normal_matrix(c.moments, free), missing)
-        if not solved or not move(c.moments, free, y, low, high, now, missing):
+        wanted[a] -= moment_of(c.moments, a, start)
+    y = np.zeros(3)
+    add_solution(normal_matrix(c.moments, c.squares), wanted, y)
+    free = put(y, start, c, low, high, now)
+    if (free == c.squares).all():
+        return
+    missed = residual(y, wanted, start, now, c)
+    for _ in range(NEWTON_STEPS):
+        M = normal_matrix(c.moments, free)
+        for a in range(3):
+            M[a, a] += MISS[a]
+        step = np.zeros(3)
+        add_solution(M, missed, step)
+        before = free
+        downhill = step[0] * missed[0] + step[1] * missed[1] + step[2] * missed[2]
+        for _ in range(HALVINGS):
+            free = put(y + step, start, c, low, high, now)
+            missed = residual(y + step, wanted, start, now, c)
+            if step[0] * missed[0] + step[1] * missed[1] + step[2] * missed[2] >= -0.5 * downhill:
+                break
+            step *= 0.5
+            downhill *= 0.5
+        y += step
+        if (free == before).all() and np.abs(missed).max() < 1e-9:
             return
+
+
+@njit(cache=True, nogil=True)
+def residual(y: Vec, wanted: Vec, start: Vec, now: Vec, c: Constants) -> Vec:
+    """Return what is missed less MISS y, (3,): downhill of a convex function of y, zero at the optimum."""
+    out = np.empty(3)
+    for a in range(3):
+        out[a] = wanted[a] + moment_of(c.moments, a, start) - moment_of(c.moments, a, now) - MISS[a] * y[a]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def put(y: Vec, start: Vec, c: Constants, low: Vec, high: Vec, now: Vec) -> Vec:
+    """Put ``now`` at clip(start + squares moments^T y); return the squares (9,) with zeros where a limit holds."""
+    free = c.squares.copy()
+    for i in range(9):
+        to = start[i] + free[i] * (c.moments[0, i] * y[0] + c.moments[1, i] * y[1] + c.moments[2, i] * y[2])
+        now[i] = min(max(to, low[i]), high[i])
+        if now[i] != to:
+            free[i] = 0.0
+    return free
 
 
 @njit(cache=True, nogil=True)
@@ -218,35 +265,15 @@ def normal_matrix(moments: Mat, free: Vec) -> Mat:
 
 
 @njit(cache=True, nogil=True)
-def move(
-    moments: Mat, free: Vec, y: tuple[float, float, float], low: Vec, high: Vec, now: Vec, missing: Vec
-) -> bool:
-    """Move the free surfaces by free moments^T y, take that off ``missing``; say whether one met its limit."""
-    met = False
-    for i in range(9):
-        if free[i] == 0.0:
-            continue
-        to = now[i] + free[i] * (moments[0, i] * y[0] + moments[1, i] * y[1] + moments[2, i] * y[2])
-        held = min(max(to, low[i]), high[i])
-        if held != to:
-            free[i] = 0.0
-            met = True
-        for a in range(3):
-            missing[a] -= moments[a, i] * (held - now[i])
-        now[i] = held
-    return met
-
-
-@njit(cache=True, nogil=True)
-def solve3(M: Mat, b: Vec) -> tuple[tuple[float, float, float], bool]:
-    """Return the three unknowns of M x = b by Cramer's rule, and whether M is regular."""
+def add_solution(M: Mat, b: Vec, x: Vec) -> None:
+    """Add to ``x`` (3,) the solution of M s = b by Cramer's rule; M regular."""
     c0 = M[1, 1] * M[2, 2] - M[1, 2] * M[2, 1]
     c1 = M[1, 2] * M[2, 0] - M[1, 0] * M[2, 2]
     c2 = M[1, 0] * M[2, 1] - M[1, 1] * M[2, 0]
+    d0, d1 = M[0, 2] * M[2, 1] - M[0, 1] * M[2, 2], M[0, 1] * M[1, 2] - M[0, 2] * M[1, 1]
+    d2, d3 = M[0, 0] * M[2, 2] - M[0, 2] * M[2, 0], M[0, 2] * M[1, 0] - M[0, 0] * M[1, 2]
+    d4, d5 = M[0, 1] * M[2, 0] - M[0, 0] * M[2, 1], M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
     det = M[0, 0] * c0 + M[0, 1] * c1 + M[0, 2] * c2
-    if not abs(det) > 1e-9 * M[0, 0] * M[1, 1] * M[2, 2]:
-        return (0.0, 0.0, 0.0), False
-    x = b[0] * c0 + b[1] * (M[0, 2] * M[2, 1] - M[0, 1] * M[2, 2]) + b[2] * (M[0, 1] * M[1, 2] - M[0, 2] * M[1, 1])
-    y = b[0] * c1 + b[1] * (M[0, 0] * M[2, 2] - M[0, 2] * M[2, 0]) + b[2] * (M[0, 2] * M[1, 0] - M[0, 0] * M[1, 2])
-    z = b[0] * c2 + b[1] * (M[0, 1] * M[2, 0] - M[0, 0] * M[2, 1]) + b[2] * (M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0])
-    return (x / det, y / det, z / det), True
+    x[0] += (b[0] * c0 + b[1] * d0 + b[2] * d1) / det
+    x[1] += (b[0] * c1 + b[1] * d2 + b[2] * d3) / det
+    x[2] += (b[0] * c2 + b[1] * d4 + b[2] * d5) / det

@@ -8,9 +8,9 @@ Rules
   differs from it. So what guidance sees is the reference, and integral action does not make a step overshoot.
 * Feedback is LQR (``control.lqr``) on the trimmed linear model of the airframe file, with angular accelerations as
   inputs and the lag of actuators, delay and sampling as states, which the law knows by running the same lag itself.
-* Wanted accelerations are spread over the effectors by weighted least squares; what saturates is held at its limit and
-  the rest is spread again, so that effectors that deflect one way only (AMT, SSD) are used as far as they go. Commands
-  never ask for more than the actuators' rate: beyond it lag grows with the size of a command and the loops diverge.
+* Wanted accelerations are spread over the effectors by weighted least squares within their limits, so that those that
+  deflect one way only (AMT, SSD) are used as far as they go. Commands never ask for more than the actuators' rate:
+  beyond it lag grows with the size of a command and the loops diverge.
 * Direct lift: flaps that give lift without moment hold the vertical velocity near that of the same aircraft in calm
   air, so that gusts move it less. It fades out slowly and leaves the path to the pitch command.
 """
@@ -30,7 +30,7 @@ from sim_bridge.plant.actuators import default_channels
 
 LAG_S = 0.035
 """Of the design model: 20 ms servo lag, 10 ms delay, half a 5 ms sample and one integration step."""
-EFFORT = (0.5, 0.5, 0.5, 0.5, 0.0, 0.0, 0.5, 0.1, 0.1)
+EFFORT = (0.3, 0.3, 0.5, 0.5, 0.0, 0.0, 0.5, 0.2, 0.2)
 """Deflection (rad) of the nine surfaces that costs the same: tips, trailing edges, leading edges (slow: not used),
 pitch flap, spoilers."""
 
