@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from companion.geometry import Mat, Vec, exp_so3, log_so3
 from companion.messages import NS
+
+S = TypeVar("S")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,64 +36,77 @@ class Motion:
     travel_m: Vec
 
 
-class _Stamps:
-    """Stamps in rising order with a bounded length; the newest is last."""
+@dataclass(frozen=True, slots=True)
+class Bracket(Generic[S]):
+    """Where an instant lies: ``dt_s`` after ``before``, at the share ``s`` of the way to ``after`` (None: newest)."""
 
-    def __init__(self, span_s: float) -> None:
-        self.t_ns: list[int] = []
-        self._span_ns = int(span_s / NS)
-
-    def accepts(self, t_ns: int) -> bool:
-        return not self.t_ns or t_ns > self.t_ns[-1]
-
-    def surplus(self) -> int:
-        """Return how many samples at the old end lie beyond the span; cut in lumps, since lists shift."""
-        n = bisect_right(self.t_ns, self.t_ns[-1] - self._span_ns)
-        return n if n > 50 else 0
+    before: S
+    after: S | None
+    dt_s: float
+    s: float
 
 
-class AttitudeHistory:
-    """Attitudes of one body, interpolated on the rotation group, extrapolated by the body rates."""
+class History(Generic[S]):
+    """Samples with stamps in rising order and a bounded span; the newest is last."""
 
     def __init__(self, span_s: float = 3.0) -> None:
-        self._stamps = _Stamps(span_s)
-        self._samples: list[Attitude] = []
+        self._t_ns: list[int] = []
+        self._samples: list[S] = []
+        self._span_ns = int(span_s / NS)
 
     @property
     def newest_ns(self) -> int | None:
         """Return the stamp of the newest sample."""
-        return self._stamps.t_ns[-1] if self._stamps.t_ns else None
+        return self._t_ns[-1] if self._t_ns else None
+
+    def accepts(self, t_ns: int) -> bool:
+        """Tell whether a stamp is newer than the newest."""
+        return not self._t_ns or t_ns > self._t_ns[-1]
+
+    def push(self, t_ns: int, sample: S) -> None:
+        """Add a sample whose stamp is accepted; cut the old end in lumps, since lists shift."""
+        self._t_ns.append(t_ns)
+        self._samples.append(sample)
+        surplus = bisect_right(self._t_ns, t_ns - self._span_ns)
+        if surplus > 50:
+            del self._t_ns[:surplus], self._samples[:surplus]
+
+    def bracket(self, t_ns: int) -> Bracket[S] | None:
+        """Return the samples about an instant, or None when there is none at or before it."""
+        k = bisect_right(self._t_ns, t_ns) - 1
+        if k < 0:
+            return None
+        dt_ns = t_ns - self._t_ns[k]
+        if k + 1 == len(self._t_ns):
+            return Bracket(self._samples[k], None, dt_ns * NS, 0.0)
+        return Bracket(self._samples[k], self._samples[k + 1], dt_ns * NS, dt_ns / (self._t_ns[k + 1] - self._t_ns[k]))
+
+
+class AttitudeHistory(History[Attitude]):
+    """Attitudes of one body, interpolated on the rotation group, extrapolated by the body rates."""
 
     def append(self, t_ns: int, R_ned_body: Mat, omega_body_rad_s: Vec) -> bool:
         """Add a sample; False when its stamp is not newer than the last."""
-        if not self._stamps.accepts(t_ns):
+        if not self.accepts(t_ns):
             return False
-        self._stamps.t_ns.append(t_ns)
-        self._samples.append(Attitude(R_ned_body, omega_body_rad_s))
-        cut = self._stamps.surplus()
-        if cut:
-            del self._stamps.t_ns[:cut], self._samples[:cut]
+        self.push(t_ns, Attitude(R_ned_body, omega_body_rad_s))
         return True
 
     def at(self, t_ns: int) -> Attitude | None:
         """Return the attitude at an instant, or None when there is no sample at or before it."""
-        stamps = self._stamps.t_ns
-        k = bisect_right(stamps, t_ns) - 1
-        if k < 0:
+        at = self.bracket(t_ns)
+        if at is None:
             return None
-        a = self._samples[k]
-        dt = (t_ns - stamps[k]) * NS
-        if dt == 0.0:
-            return a
-        if k + 1 == len(stamps):
-            return Attitude(a.R_ned_body @ exp_so3(a.omega_body_rad_s * dt), a.omega_body_rad_s)
-        b = self._samples[k + 1]
-        s = dt / ((stamps[k + 1] - stamps[k]) * NS)
-        R = a.R_ned_body @ exp_so3(s * log_so3(a.R_ned_body.T @ b.R_ned_body))
-        return Attitude(R, (1.0 - s) * a.omega_body_rad_s + s * b.omega_body_rad_s)
+        if at.dt_s == 0.0:
+            return at.before
+        a, b = at.before, at.after
+        if b is None:
+            return Attitude(a.R_ned_body @ exp_so3(a.omega_body_rad_s * at.dt_s), a.omega_body_rad_s)
+        R = a.R_ned_body @ exp_so3(at.s * log_so3(a.R_ned_body.T @ b.R_ned_body))
+        return Attitude(R, (1.0 - at.s) * a.omega_body_rad_s + at.s * b.omega_body_rad_s)
 
 
-class MotionHistory:
+class MotionHistory(History[Motion]):
     """Positions and velocities of one body.
 
     A position fix is carried to an instant by the velocity around it, so the noise of one fix stays the noise of one
@@ -98,51 +114,32 @@ class MotionHistory:
     jumps of GPS.
     """
 
-    def __init__(self, span_s: float = 3.0) -> None:
-        self._stamps = _Stamps(span_s)
-        self._samples: list[Motion] = []
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Return the stamp of the newest sample."""
-        return self._stamps.t_ns[-1] if self._stamps.t_ns else None
-
     def append(self, t_ns: int, p_ned_m: Vec, v_ned_m_s: Vec) -> bool:
         """Add a sample; False when its stamp is not newer than the last."""
-        if not self._stamps.accepts(t_ns):
+        if not self.accepts(t_ns):
             return False
         travel = np.zeros(3)
         if self._samples:
             last = self._samples[-1]
-            dt = (t_ns - self._stamps.t_ns[-1]) * NS
-            travel = last.travel_m + 0.5 * dt * (last.v_ned_m_s + v_ned_m_s)
-        self._stamps.t_ns.append(t_ns)
-        self._samples.append(Motion(p_ned_m, v_ned_m_s, travel))
-        cut = self._stamps.surplus()
-        if cut:
-            del self._stamps.t_ns[:cut], self._samples[:cut]
+            travel = last.travel_m + 0.5 * NS * (t_ns - self._t_ns[-1]) * (last.v_ned_m_s + v_ned_m_s)
+        self.push(t_ns, Motion(p_ned_m, v_ned_m_s, travel))
         return True
 
     def at(self, t_ns: int) -> Motion | None:
         """Return the motion at an instant, or None when there is no sample at or before it."""
-        stamps = self._stamps.t_ns
-        k = bisect_right(stamps, t_ns) - 1
-        if k < 0:
+        at = self.bracket(t_ns)
+        if at is None:
             return None
-        a = self._samples[k]
-        dt = (t_ns - stamps[k]) * NS
-        if dt == 0.0:
-            return a
-        v = a.v_ned_m_s
-        if k + 1 < len(stamps):
-            s = dt / ((stamps[k + 1] - stamps[k]) * NS)
-            v = (1.0 - s) * v + s * self._samples[k + 1].v_ned_m_s
-        step = 0.5 * dt * (a.v_ned_m_s + v)
+        if at.dt_s == 0.0:
+            return at.before
+        a = at.before
+        v = a.v_ned_m_s if at.after is None else (1.0 - at.s) * a.v_ned_m_s + at.s * at.after.v_ned_m_s
+        step = 0.5 * at.dt_s * (a.v_ned_m_s + v)
         return Motion(a.p_ned_m + step, v, a.travel_m + step)
 
     def acceleration(self, window_s: float) -> Vec:
         """Return the mean acceleration (3,) over the newest ``window_s`` seconds; zero with fewer than two samples."""
-        stamps = self._stamps.t_ns
+        stamps = self._t_ns
         if len(stamps) < 2:
             return np.zeros(3)
         k = min(bisect_right(stamps, stamps[-1] - int(window_s / NS)), len(stamps) - 2)
