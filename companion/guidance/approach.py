@@ -93,8 +93,8 @@ class Approach:
         s = self._status
         guided = s is not None and s.mode is AutopilotMode.GUIDED and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
         age_s = None if self._estimate_ns is None else (t_ns - self._estimate_ns) * NS
-        if state is None:
-            return Situation(age_s, guided, self._engaged, self._command)
+        if state is None:  # nothing to engage on: a join begins at a known place
+            return Situation(age_s, guided, engaged=False, command=self._command)
         error = state.p_mrf_br_m - self._reference(t_ns).p_m
         return Situation(
             estimate_age_s=age_s,
@@ -110,7 +110,7 @@ class Approach:
 
     def _enter(self, change: PhaseChange, state: RelativeState | None) -> None:
         self._settled_since = self._captured_since = None
-        if change.new is Phase.JOIN and state is not None:
+        if change.new is Phase.JOIN and state is not None:  # always, see _situation
             self._law.reset()
             self._station = station(state.p_mrf_br_m)
         elif change.new is Phase.APPROACH:
