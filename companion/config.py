@@ -156,8 +156,8 @@ class LawWeights(Struct, frozen=True, kw_only=True):
     int_x: float = 0.05
     int_y: float = 0.05
     int_z: float = 0.05
-    roll: float = 200.0
-    pitch: float = 800.0
+    roll: float = 150.0
+    pitch: float = 400.0
     thrust: float = 2.0
 
 
