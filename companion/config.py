@@ -108,7 +108,7 @@ class TankerConfig(Struct, frozen=True, kw_only=True):
 class DetectionConfig(Struct, frozen=True, kw_only=True):
     """Marker detection (thesis 4.2.1): a pixel is lit when red exceeds the larger of green and blue by a threshold."""
 
-    threshold: int = 40
+    threshold: int = 60
     min_area_px: int = 1
     max_area_px: int = 4000
     morphology_px: int = 0
