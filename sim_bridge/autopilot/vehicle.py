@@ -167,7 +167,7 @@ class Vehicle:
     def _take_timesync(self, message: Message, t_ns: int) -> None:
         """Answer a request with the instant of its arrival; leave answers alone."""
         if message.tc1 == 0:
-            self._replies.append(dialect.MAVLink_timesync_message(t_ns, message.ts1))
+            self._replies.append(dialect.MAVLink_timesync_message(t_ns or 1, message.ts1))  # 0 would be a request
 
     def _take_command(self, message: Message, t_ns: int) -> None:
         """Do a COMMAND_LONG and acknowledge it."""
