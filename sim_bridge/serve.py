@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 
 from companion.config import ConfigError, Setup
 from companion.io.camera import ZmqFrameSender
@@ -60,6 +61,17 @@ def companion_end(url: str) -> str:
     return f"udpout:{rest}"
 
 
+def pty_link(datalink: str) -> Path:
+    """Return where the companion looks for the tanker's line, its folder made; raises ConfigError."""
+    link = Path(datalink.rpartition(",")[0])
+    try:
+        link.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"datalink {link}: its folder cannot be made ({error.strerror}); choose another with --datalink"
+        raise ConfigError(msg) from None
+    return link
+
+
 def wait_for_companion(transport: UdpTransport, stop: Callable[[], bool]) -> bool:
     """Send heartbeats until anybody answers; False when ``stop`` came first."""
     codec = MavlinkCodec(1, 1)
@@ -89,7 +101,7 @@ def serve(
     with ExitStack() as stack:
         transport = UdpTransport("mavlink", companion_end(links.mavlink))
         stack.callback(transport.close)
-        pty = PtyLink(scenario.datalink.rate_baud, links.datalink.rpartition(",")[0])
+        pty = PtyLink(scenario.datalink.rate_baud, pty_link(links.datalink))
         stack.callback(pty.close)
         camera = ZmqFrameSender(links.camera)
         stack.callback(camera.close)

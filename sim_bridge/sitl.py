@@ -75,7 +75,6 @@ def fly_sitl(scenario: Scenario, setup: Setup) -> Flown:
     t0_ns = time.monotonic_ns()
     folder = create_run_folder(setup.config.recorder.out, scenario.name)
     box = BoxTruth(setup, scenario.heading_rad)
-    Path(setup.config.links.datalink.rpartition(",")[0]).parent.mkdir(parents=True, exist_ok=True)
     with TruthLog(folder, setup, t0_ns=t0_ns) as truth_log:
 
         def see(truth: Truth) -> None:
