@@ -10,6 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from companion.config import Setup
 from companion.estimation.blend import Blend
 from companion.estimation.relative import RelativeEstimator
@@ -44,6 +47,8 @@ class Pipeline:
         self.blend = Blend(setup.config.fusion, T_frd_cam(setup.camera))
         self.relative = RelativeEstimator(self.blend, setup.tanker, setup.airframe)
         self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
+        self._looks = setup.config.vision.mode == "rv"
+        self._last_frame: CameraFrame | None = None
 
         self._handlers: dict[type, Callable[[Any], list[Output]]] = {
             CameraFrame: self._frame,
@@ -74,6 +79,9 @@ class Pipeline:
         return []
 
     def _frame(self, frame: CameraFrame) -> list[Output]:
+        fault = self._standstill(frame)
+        if fault:
+            return [Reject(frame.t_ns, "camera", fault)]
         prior = self.blend.prior(frame.t_ns)
         if prior is None:
             return [Reject(frame.t_ns, "vision", "no_prior")]
@@ -81,7 +89,23 @@ class Pipeline:
         self._mark("vision")
         fused = self.blend.update(frame.t_ns, seen.pose)
         self._mark("fusion")
-        return [seen] if fused is None else [seen, fused]
+        if fused is None:
+            return [seen]
+        gap_m = self.blend.disagreement_m(seen.pose, fused.T_cam_tanker_gps)
+        if gap_m is None:
+            return [seen, fused]
+        return [seen, Reject(frame.t_ns, "fusion", "disagrees_with_gps", f"{gap_m:.1f} m"), fused]
+
+    def _standstill(self, frame: CameraFrame) -> str:
+        """Say what shows that the camera stands still: a stamp, or a picture bit for bit, that has been before.
+
+        A sensor's noise never repeats, and a frozen picture flown on leads forward for ever.
+        """
+        last = self._last_frame
+        if last is not None and frame.t_ns <= last.t_ns:
+            return "time_not_forward"
+        self._last_frame = frame
+        return "frozen" if self._looks and last is not None and _same_picture(frame.image, last.image) else ""
 
     def _tick(self, tick: Tick) -> list[Output]:
         state = self.relative.at(tick.t_ns)
@@ -89,6 +113,11 @@ class Pipeline:
         outputs += self.approach.step(tick.t_ns, state)
         self._mark("guidance")
         return outputs
+
+
+def _same_picture(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> bool:
+    """Compare a few pixels first: two pictures that differ nearly always differ there."""
+    return np.array_equal(a[::16, ::16], b[::16, ::16]) and np.array_equal(a, b)
 
 
 def _only(reject: Reject | None) -> list[Output]:
