@@ -131,17 +131,12 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
 
 
 class FusionConfig(Struct, frozen=True, kw_only=True):
-    """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``.
-
-    A vision pose further than ``max_disagreement_m`` from GPS is rejected; two GPS receivers that see the same
-    satellites agree to a few metres.
-    """
+    """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``."""
 
     method: Literal["blend"] = "blend"
     d1_m: float = 55.0
     d2_m: float = 40.0
     min_markers: int = 5
-    max_disagreement_m: float = 5.0
     vision_stale_s: float = 0.3
     own_stale_s: float = 0.3
     tanker_stale_s: float = 1.0
@@ -388,7 +383,6 @@ def check(setup: Setup, folder: Path) -> None:
         (airframe.trim.airspeed_m_s > 0, c.airframe, "trim.airspeed_m_s must be positive"),
         (c.fusion.d1_m > c.fusion.d2_m > 0, "", "fusion: d1_m must be larger than d2_m, both in metres"),
         (c.fusion.min_markers >= 4, "", "fusion.min_markers must be at least 4"),
-        (c.fusion.max_disagreement_m > 0, "", "fusion.max_disagreement_m must be positive metres"),
         (10 <= c.guidance.rate_hz <= 200, "", "guidance.rate_hz must be in 10..200 hertz"),
         (c.guidance.path_duration_s > 0, "", "guidance.path_duration_s must be positive seconds"),
         (0 < c.vision.detection.threshold < 256, "", "vision.detection.threshold must be in 1..255"),

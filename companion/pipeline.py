@@ -89,12 +89,7 @@ class Pipeline:
         self._mark("vision")
         fused = self.blend.update(frame.t_ns, seen.pose)
         self._mark("fusion")
-        if fused is None:
-            return [seen]
-        gap_m = self.blend.disagreement_m(seen.pose, fused.T_cam_tanker_gps)
-        if gap_m is None:
-            return [seen, fused]
-        return [seen, Reject(frame.t_ns, "fusion", "disagrees_with_gps", f"{gap_m:.1f} m"), fused]
+        return [seen] if fused is None else [seen, fused]
 
     def _standstill(self, frame: CameraFrame) -> str:
         """Say what shows that the camera stands still: a stamp, or a picture bit for bit, that has been before.

@@ -7,8 +7,6 @@ Rules
   all GPS at d1 and beyond, all vision at d2 and nearer (the text prints the interval the wrong way round).
 * Vision counts with at least ``min_markers`` markers (five). Without it the last blend is carried on by the inertial
   velocities for ``vision_stale_s``; after that GPS alone is left.
-* A pose further than ``max_disagreement_m`` from GPS is not believed: wrong labels and stale pictures have consistent
-  poses too.
 * The blend, carried to the next exposure, is the next frame's prior (predicted markers, start rotation).
 * Both aircraft are brought to the instant of the exposure first (``alignment``).
 """
@@ -125,8 +123,7 @@ class Blend:
         if a is None:
             return None
         T_gps = self.T_cam_tanker_of(a, a.own.p_ned_m - a.tanker.p_ned_m)
-        unbelievable = self.disagreement_m(pose, T_gps) is not None
-        if pose is None or unbelievable or pose.markers_used < self._config.min_markers:
+        if pose is None or pose.markers_used < self._config.min_markers:
             p_ned, anchor = self.relative_position(a)
             weight = 0.0 if anchor is None else anchor.vision_weight
             return FusedPose(t_ns, self.T_cam_tanker_of(a, p_ned), T_gps, weight, 0)
@@ -137,14 +134,6 @@ class Blend:
         difference = a.own.travel_m - a.tanker.travel_m
         self._anchor = Anchor(t_ns, p_ned, difference, 1.0 - w_gps, pose.markers_used)
         return FusedPose(t_ns, T_cam_tanker, T_gps, 1.0 - w_gps, pose.markers_used)
-
-    def disagreement_m(self, pose: PoseMeasurement | None, T_cam_tanker_gps: SE3) -> float | None:
-        """Return how far a pose is from GPS when that is too far to be believed, else None."""
-        if pose is None:
-            return None
-        gap = pose.T_cam_tanker.t - T_cam_tanker_gps.t
-        gap_m = float(np.sqrt(gap @ gap))
-        return None if gap_m <= self._config.max_disagreement_m else gap_m  # NaN is too far
 
     def gps_weight(self, distance_m: float) -> float:
         """Return the weight of GPS at a distance (eq. 3.9)."""
