@@ -1,6 +1,7 @@
 """Command line of the companion.
 
-Exit codes: 0 done, 2 bad input (one line on stderr says what to mend), 130 interrupted before engaging.
+Exit codes: 0 done or asked to stop (Ctrl-C, SIGTERM), 2 bad input (one line on stderr says what to mend), 130
+interrupted before the service had begun.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from companion import __version__, app
+from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
 from companion.config import CompanionConfig, ConfigError, assemble, load
 from companion.io.recorder import newest_run
 from companion.io.rerun_view import open_viewer, screenshot
@@ -20,7 +22,7 @@ from companion.io.rerun_view import open_viewer, screenshot
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    p = argparse.ArgumentParser(prog="companion", description="Brings a receiver into a tanker's refuelling window.")
+    p = OneLineParser(prog="companion", description="Brings a receiver into a tanker's refuelling window.")
     p.add_argument("--version", action="version", version=__version__)
     commands = p.add_subparsers(dest="command", required=True)
 
@@ -52,7 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return action(arguments)
     except ConfigError as error:
         print(f"companion: {error}", file=sys.stderr)
-        return 2
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
 
 
 def _run(a: argparse.Namespace) -> int:

@@ -16,17 +16,17 @@ from types import FrameType
 
 import numpy as np
 
-from companion.config import Setup
+from companion.config import ConfigError, Setup
 from companion.geometry import SE3, R_cam_crf
 from companion.io.camera import open_camera
 from companion.io.clock import MonotonicClock
 from companion.io.console import FlightConsole
 from companion.io.datalink import SerialDatalink
-from companion.io.mavlink import MavlinkUdp
+from companion.io.mavlink import MavlinkUdp, OnBytes
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import CameraFrame, Output, Phase, PhaseChange
-from companion.ports import EventSource
-from companion.runtime import Service, in_phase_s, run_live
+from companion.messages import CameraFrame, Output, Phase, PhaseChange, Reject
+from companion.ports import Clock
+from companion.runtime import Service, Watched, in_phase_s, run_live
 from companion.vision.camera import project
 from companion.vision.chain import VisionChain
 
@@ -74,32 +74,58 @@ class Stop:
         self.asked = True
 
 
+def open_links(setup: Setup, clock: Clock, on_bytes: OnBytes, stack: ExitStack) -> tuple[MavlinkUdp, list[Watched]]:
+    """Open every link of the configuration; raises ConfigError. Return the autopilot and all sources."""
+    links = setup.config.links
+    autopilot = MavlinkUdp(links, clock, on_bytes)
+    stack.callback(autopilot.close)
+    sources = [Watched(autopilot, clock, "mavlink", links.mavlink,
+                       "is the autopilot (or sim-bridge serve) running, and does it send there?")]
+    if links.datalink:
+        datalink = SerialDatalink(links.datalink, clock, links.origin_altitude_m, autopilot.offset_ns)
+        stack.callback(datalink.close)
+        sources.append(Watched(datalink, clock, "datalink", links.datalink,
+                               "does the tanker (or sim-bridge serve) send, and at this rate?"))
+    if links.camera:
+        camera = open_camera(links.camera, setup.camera, clock, autopilot.offset_ns)
+        stack.callback(camera.close)
+        sources.append(Watched(camera, clock, "camera", links.camera, "is the camera (or sim-bridge serve) running?"))
+    return autopilot, sources
+
+
+def open_folder(setup: Setup, options: RunOptions) -> Path:
+    """Return the run folder, made; raises ConfigError."""
+    folder = options.run_dir or create_run_folder(setup.config.recorder.out, options.name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{folder}: cannot be created ({error.strerror}); give a writable folder"
+        raise ConfigError(msg) from None
+    return folder
+
+
 def run(setup: Setup, options: RunOptions) -> int:
     """Run the service until it is stopped; raises ConfigError before it starts. Returns the exit code."""
-    links = setup.config.links
     clock = MonotonicClock()
     t0_ns = clock.now_ns() if options.t0_ns is None else options.t0_ns
     stop = Stop()
-    warm_up(setup)
     with ExitStack() as stack:
-        folder = options.run_dir or create_run_folder(setup.config.recorder.out, options.name)
-        folder.mkdir(parents=True, exist_ok=True)
-        recorder = stack.enter_context(RunRecorder(folder, setup, t0_ns=t0_ns))
-        autopilot = MavlinkUdp(links, clock, recorder.mavlink)
-        stack.callback(autopilot.close)
-        sources: list[EventSource] = [autopilot]
-        if links.datalink:
-            sources.append(SerialDatalink(links.datalink, clock, links.origin_altitude_m, autopilot.offset_ns))
-        if links.camera:
-            sources.append(open_camera(links.camera, setup.camera, clock, autopilot.offset_ns))
-        for source in sources[1:]:
-            stack.callback(source.close)
+
+        def on_bytes(t_ns: int, data: bytes) -> None:
+            recorder.mavlink(t_ns, data)  # nothing flows before the loop runs
+
+        # Links first: one that cannot be had leaves no empty recording behind.
+        autopilot, sources = open_links(setup, clock, on_bytes, stack)
+        recorder = stack.enter_context(RunRecorder(open_folder(setup, options), setup, t0_ns=t0_ns))
+        warm_up(setup)
         console = stack.enter_context(FlightConsole(setup, t0_ns=t0_ns))
 
         def watch(output: Output) -> None:
             console.output(output)
             if isinstance(output, PhaseChange):
                 autopilot.say(f"phase {output.new}: {output.reason}")
+            elif isinstance(output, Reject) and output.reason == "silent":
+                console.notice(f"{output.source}: {output.detail}")
 
         service = Service(setup, clock, autopilot, recorder, watch)
 

@@ -15,6 +15,44 @@ from companion.pipeline import Pipeline
 from companion.ports import Clock, EventSource, Recorder, SetpointSink
 
 IDLE_S = 0.0005
+SILENCE_NS = 3_000_000_000
+
+
+class Watched:
+    """An event source that says, once, when nothing usable has come from it for 3 s: a ``silent`` Reject.
+
+    ``what`` is the source's name in rejects, ``where`` the address, ``hint`` what to look at.
+    """
+
+    def __init__(self, source: EventSource, clock: Clock, what: str, where: str, hint: str) -> None:
+        self._source, self._clock = source, clock
+        self._what, self._where, self._hint = what, where, hint
+        self._heard_ns: int | None = None
+        self._told = False
+        self._refused: Reject | None = None
+
+    def poll(self) -> list[Event]:
+        """Return the source's events, and a Reject when it has been silent."""
+        events = list(self._source.poll())
+        now_ns = self._clock.now_ns()
+        refused = [e for e in events if isinstance(e, Reject)]
+        if len(refused) < len(events) or self._heard_ns is None:
+            self._heard_ns, self._told, self._refused = now_ns, False, None
+        if refused:
+            self._refused = refused[-1]
+        if not self._told and now_ns - self._heard_ns >= SILENCE_NS:
+            self._told = True
+            events.append(Reject(now_ns, self._what, "silent", self._complaint()))
+        return events
+
+    def _complaint(self) -> str:
+        if self._refused is None:
+            return f"nothing for 3 s at {self._where}: {self._hint}"
+        return f"nothing usable for 3 s at {self._where}: {self._refused.reason}, {self._refused.detail}"
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
 
 
 class Service:

@@ -16,6 +16,7 @@ from types import FrameType
 import msgspec
 
 from companion import __version__
+from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
 from companion.config import FIRMWARE_CONFIGS, ConfigError, Setup
 from companion.io.console import FlightConsole, result_table
 from sim_bridge import linearize
@@ -25,12 +26,12 @@ from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.serve import serve
 from sim_bridge.sitl import fly_sitl
 
-DOCKED, BAD_INPUT, NOT_DOCKED, INTERRUPTED = 0, 2, 3, 130
+DOCKED, NOT_DOCKED = 0, 3
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    p = argparse.ArgumentParser(prog="sim-bridge", description="Two aircraft, weather, sensors, camera, autopilot.")
+    p = OneLineParser(prog="sim-bridge", description="Two aircraft, weather, sensors, camera, autopilot.")
     p.add_argument("--version", action="version", version=__version__)
     commands = p.add_subparsers(dest="command", required=True)
     _flight(commands.add_parser("fly", help="fly a scenario in lockstep, one process, faster than real time"), _fly)
@@ -67,6 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Parse and run; bad input ends in one line on stderr and exit code 2."""
     arguments = parser().parse_args(argv)
     action: Callable[[argparse.Namespace], int] = arguments.action
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: no companion is left behind
     try:
         return action(arguments)
     except (ConfigError, PlantError) as error:

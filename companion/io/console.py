@@ -83,6 +83,10 @@ class FlightConsole:
         if self._live is None and time.monotonic() >= self._line_due:
             self._print_line()
 
+    def notice(self, text: str) -> None:
+        """Print a line at once, above the live table if there is one."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
     def _count(self, reject: Reject | None) -> None:
         if reject is not None:
             self._rejects[f"{reject.source}.{reject.reason}"] += 1
