@@ -2,8 +2,8 @@
 
 Rules
 -----
-* A live table when standard error is a terminal, a plain line every ``LINE_S`` when it is not. Standard output stays
-  free for results.
+* A live table when standard error is a terminal that can redraw, a plain line every ``LINE_S`` when it is not.
+  Standard output stays free for results.
 * ``output`` only keeps the newest message of a kind; drawing is done by a thread (live) or once per line (plain).
 """
 
@@ -147,7 +147,7 @@ class FlightConsole:
 
     def __enter__(self) -> FlightConsole:
         """Start the live table on a terminal."""
-        if self._console.is_terminal:
+        if self._console.is_terminal and not self._console.is_dumb_terminal:
             self._live = Live(
                 console=self._console, get_renderable=self.table, refresh_per_second=REFRESH_HZ, redirect_stdout=False
             )

@@ -35,13 +35,20 @@ def test_without_a_terminal_plain_lines_tell_every_phase() -> None:
 
 def test_on_a_terminal_one_table_is_redrawn() -> None:
     out = StringIO()
-    shown = fly(Console(file=out, width=100, force_terminal=True), 5.0)
+    shown = fly(Console(file=out, width=100, force_terminal=True, _environ={"TERM": "xterm"}), 5.0)
     assert "\x1b[" in out.getvalue()
     assert "approach" in out.getvalue()
     plain = StringIO()
     Console(file=plain, width=100).print(shown.table())
     assert "100, 98 with a pose" in plain.getvalue()
     assert "4" in plain.getvalue().split("rejects")[1]
+
+
+def test_a_terminal_that_cannot_redraw_gets_lines() -> None:
+    out = StringIO()
+    fly(Console(file=out, width=100, force_terminal=True, _environ={"TERM": "dumb"}), 5.0)
+    assert "\x1b" not in out.getvalue()
+    assert "| approach" in out.getvalue()
 
 
 def test_setpoints_that_stopped_are_at_zero_hertz() -> None:
