@@ -22,8 +22,8 @@ def place(t_ns, relative_m):
     return np.asarray(relative_m) + V_OWN * t, V_TANKER * t
 
 
-def fed(relative_m, until_ms=200, config=FusionConfig(), gps_bias=(0.0, 0.0, 0.0)):
-    b = Blend(config, T_FRD_CAM)
+def fed(relative_m, until_ms=200, gps_bias=(0.0, 0.0, 0.0)):
+    b = Blend(FusionConfig(), T_FRD_CAM)
     for t_ns in range(0, until_ms * MS + 1, 20 * MS):
         p_own, p_tanker = place(t_ns, relative_m)
         assert b.own_attitude_event(OwnAttitude(t_ns, R_OWN, np.zeros(3))) is None
