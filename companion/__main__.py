@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(a: argparse.Namespace) -> int:
     path = Path(a.config)
-    setup = assemble(_with_options(load(path, CompanionConfig), a), path.parent)
+    setup = assemble(_with_options(load(path, CompanionConfig), a), path)
     options = app.RunOptions(
         name=path.stem, run_dir=Path(a.run_dir) if a.run_dir else None, t0_ns=a.t0_ns,
         stop_after_hold_s=a.stop_after_hold, stop_after_breakaway_s=a.stop_after_breakaway,

@@ -350,44 +350,96 @@ def load_setup(path: Path | str) -> Setup:
     """Load a companion configuration and the camera, tanker and airframe files that it names."""
     path = Path(path)
     config = load(path, CompanionConfig)
-    return assemble(config, path.parent)
+    return assemble(config, path)
 
 
-def assemble(config: CompanionConfig, folder: Path) -> Setup:
-    """Load the files that ``config`` names, relative to ``folder``, and check what spans more than one."""
+def assemble(config: CompanionConfig, path: Path) -> Setup:
+    """Load the files that ``config``, from the file ``path``, names relative to itself; check what types do not."""
+    folder = path.parent
     setup = Setup(
         config=config,
         camera=load(folder / config.camera, CameraConfig),
         tanker=load(folder / config.tanker, TankerConfig),
         airframe=load(folder / config.airframe, AirframeConfig),
     )
-    check(setup, folder)
+    for file, rules in (
+        (path, companion_rules(config)),
+        (folder / config.camera, camera_rules(setup.camera)),
+        (folder / config.tanker, tanker_rules(setup.tanker)),
+        (folder / config.airframe, airframe_rules(setup.airframe)),
+    ):
+        for holds, text in rules:
+            if not holds:
+                msg = f"{file}: {text}"
+                raise ConfigError(msg)
     return setup
 
 
-def check(setup: Setup, folder: Path) -> None:
-    """Raise ConfigError on values that are of the right type and still cannot be."""
-    c, camera, tanker, airframe = setup.config, setup.camera, setup.tanker, setup.airframe
-    rules = [
-        (camera.width_px >= 16 and camera.height_px >= 16, c.camera, "width_px and height_px must be at least 16"),
-        (camera.fx_px > 0 and camera.fy_px > 0, c.camera, "fx_px and fy_px must be positive"),
-        (0 < camera.rate_hz <= 1000, c.camera, "rate_hz must be in 0..1000 hertz"),
-        (camera.latency_s >= 0 and camera.exposure_s >= 0, c.camera, "latency_s and exposure_s must not be negative"),
-        (len(tanker.markers) >= 4, c.tanker, "at least 4 markers are needed for a pose"),
-        (len({m.id for m in tanker.markers}) == len(tanker.markers), c.tanker, "two markers have the same id"),
-        (tanker.marker_radius_m > 0, c.tanker, "marker_radius_m must be positive"),
-        (all(d <= m for d, m in zip(tanker.window.desired_m, tanker.window.limit_m, strict=True)), c.tanker,
-         "window.desired_m must lie inside window.limit_m"),
-        (len(airframe.A) == 9 and all(len(r) == 9 for r in airframe.A), c.airframe, "A must be 9 rows of 9"),
-        (len(airframe.B) == 9 and all(len(r) == 10 for r in airframe.B), c.airframe, "B must be 9 rows of 10"),
-        (airframe.trim.airspeed_m_s > 0, c.airframe, "trim.airspeed_m_s must be positive"),
-        (c.fusion.d1_m > c.fusion.d2_m > 0, "", "fusion: d1_m must be larger than d2_m, both in metres"),
-        (c.fusion.min_markers >= 4, "", "fusion.min_markers must be at least 4"),
-        (10 <= c.guidance.rate_hz <= 200, "", "guidance.rate_hz must be in 10..200 hertz"),
-        (c.guidance.path_duration_s > 0, "", "guidance.path_duration_s must be positive seconds"),
-        (0 < c.vision.detection.threshold < 256, "", "vision.detection.threshold must be in 1..255"),
+Rules = list[tuple[bool, str]]
+"""What has to hold of values that are of the right type, and what to say when it does not."""
+
+
+def camera_rules(c: CameraConfig) -> Rules:
+    """Return what has to hold of a camera."""
+    turns = max(abs(c.mount_yaw_rad), abs(c.mount_pitch_rad), abs(c.mount_roll_rad))
+    return [
+        (c.width_px >= 16 and c.height_px >= 16, "width_px and height_px must be at least 16"),
+        (c.fx_px > 0 and c.fy_px > 0, "fx_px and fy_px must be positive"),
+        (0 < c.rate_hz <= 1000, "rate_hz must be in 0..1000 hertz"),
+        (c.latency_s >= 0 and c.exposure_s >= 0, "latency_s and exposure_s must not be negative"),
+        (turns <= math.pi, "mount_yaw_rad, mount_pitch_rad, mount_roll_rad must be within pi (radians, not degrees)"),
     ]
-    for holds, file, text in rules:
-        if not holds:
-            msg = f"{folder / file}: {text}"
-            raise ConfigError(msg)
+
+
+def tanker_rules(t: TankerConfig) -> Rules:
+    """Return what has to hold of a tanker."""
+    window = all(0 < d <= m for d, m in zip(t.window.desired_m, t.window.limit_m, strict=True))
+    return [
+        (len(t.markers) >= 4, "at least 4 markers are needed for a pose"),
+        (len({m.id for m in t.markers}) == len(t.markers), "two markers have the same id"),
+        (t.marker_radius_m > 0, "marker_radius_m must be positive"),
+        (window, "window.desired_m must be positive and lie inside window.limit_m"),
+    ]
+
+
+def airframe_rules(a: AirframeConfig) -> Rules:
+    """Return what has to hold of an airframe."""
+    return [
+        (len(a.A) == 9 and all(len(r) == 9 for r in a.A), "A must be 9 rows of 9"),
+        (len(a.B) == 9 and all(len(r) == 10 for r in a.B), "B must be 9 rows of 10"),
+        (a.mass_kg > 0, "mass_kg must be positive kilograms"),
+        (a.trim.airspeed_m_s > 0, "trim.airspeed_m_s must be positive"),
+        (0 <= a.trim.throttle <= 1, "trim.throttle must be in 0..1"),
+        (abs(a.trim.alpha_rad) < math.pi / 2, "trim.alpha_rad must be within pi / 2 (radians, not degrees)"),
+        (len(a.trim.effectors) == 10, "trim.effectors must be 10 values"),
+        (min(a.response.roll_rad_s, a.response.pitch_rad_s, a.response.thrust_lag_s) > 0,
+         "response.roll_rad_s, pitch_rad_s and thrust_lag_s must be positive"),
+        (0 <= a.response.delay_s <= 1, "response.delay_s must be in 0..1 seconds"),
+    ]
+
+
+def companion_rules(c: CompanionConfig) -> Rules:
+    """Return what has to hold of the companion's own values."""
+    g, links, fusion = c.guidance, c.links, c.fusion
+    ids = (links.system_id, links.component_id, links.autopilot_component_id, links.gcs_system_id)
+    return [
+        (fusion.d1_m > fusion.d2_m > 0, "fusion: d1_m must be larger than d2_m, both in metres"),
+        (fusion.min_markers >= 4, "fusion.min_markers must be at least 4"),
+        (c.vision.min_markers >= 4, "vision.min_markers must be at least 4"),
+        (min(fusion.vision_stale_s, fusion.own_stale_s, fusion.tanker_stale_s) > 0,
+         "fusion: vision_stale_s, own_stale_s and tanker_stale_s must be positive seconds"),
+        (10 <= g.rate_hz <= 200, "guidance.rate_hz must be in 10..200 hertz"),
+        (g.path_duration_s > 0, "guidance.path_duration_s must be positive seconds"),
+        (0 < g.estimate_stale_s <= 1, "guidance.estimate_stale_s must be in 0..1 seconds"),
+        (g.estimate_stale_s <= g.breakaway_stale_s <= 10,
+         "guidance.breakaway_stale_s must be in estimate_stale_s..10 seconds"),
+        (0 < g.max_roll_rad < math.pi / 2, "guidance.max_roll_rad must be in 0..pi / 2 (radians, not degrees)"),
+        (0 < g.max_pitch_offset_rad < math.pi / 4,
+         "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
+        (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
+        (0 <= g.link_delay_s <= 1, "guidance.link_delay_s must be in 0..1 seconds"),
+        (0 < c.vision.detection.threshold < 256, "vision.detection.threshold must be in 1..255"),
+        (all(1 <= i <= 255 for i in ids), "links: system and component ids must be in 1..255"),
+        (c.recorder.image_rate_hz >= 0, "recorder.image_rate_hz must not be negative"),
+        (1 <= c.recorder.jpeg_quality <= 100, "recorder.jpeg_quality must be in 1..100"),
+    ]
