@@ -60,17 +60,16 @@ def test_docks_on_vision(tmp_path, solver):
 
 
 def test_heading_does_not_matter(tmp_path):
-    """Everything is flown in the psi frame (thesis 1.1): only rounding and the sensors' noise tell north from west."""
+    """Everything is flown in the psi frame (thesis 1.1): only rounding and the sensors' noise tell one from another."""
     tracks = []
-    for k, heading_rad in enumerate((0.0, 1.0, -2.5)):
+    for k, heading_rad in enumerate((0.0, 1.0)):
         (tmp_path / str(k)).mkdir()
         scenario, setup = near(202, path_s=4.0, hold_s=4.0, heading_rad=heading_rad)
         flight = fly_with(tmp_path / str(k), scenario, setup)
         assert flight.phases == TO_HOLD
         start = int(np.searchsorted(flight.t_s, flight.entered_s(Phase.APPROACH)))
         tracks.append(np.array(flight.truth_br)[start : start + 1400])
-    for track in tracks[1:]:
-        assert np.abs(track - tracks[0]).max() < 0.1
+    assert np.abs(tracks[1] - tracks[0]).max() < 0.1
 
 
 def fly_in_a_fresh_process(folder, seed):
@@ -83,7 +82,7 @@ def fly_in_a_fresh_process(folder, seed):
 
 
 def fly_briefly(out, seed, **scenario_fields):
-    scenario, setup = near(seed, path_s=3.0, hold_s=1.0, **scenario_fields)
+    scenario, setup = near(seed, path_s=2.0, hold_s=0.5, **scenario_fields)
     return fly(scenario, recording_in(setup, out)).folder
 
 
