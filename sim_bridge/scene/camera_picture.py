@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from companion.config import CameraConfig, ConfigError, TankerConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import T_frd_cam, normalised_to_pixels, pixels_to_normalised
-from sim_bridge.scene import lights
+from sim_bridge.scene import lights, tiles
 from sim_bridge.scene import rasterizer as kernels
 from sim_bridge.scene.ambient import shade_recesses
+from sim_bridge.scene.background import pack_sky
 from sim_bridge.scene.meshing import Mesh, merge
 from sim_bridge.scene.sky import make_sky
 from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh
@@ -49,6 +50,7 @@ SUN_NED = np.array([-0.45, 0.50, -0.74])
 SUNLIGHT = (0.62, 0.62, 0.60)
 FROM_ABOVE = (0.38, 0.44, 0.52)
 FROM_BELOW = (0.60, 0.64, 0.70)
+LIT_BY = np.array([SUN_NED / np.sqrt(SUN_NED @ SUN_NED), SUNLIGHT, FROM_ABOVE, FROM_BELOW])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,31 +106,13 @@ class Pinhole:
 
     def place_spheres(self, centres_cam: Mat, radius_m: float) -> Spheres:
         """Bound the lights that are ahead of the camera; bounds are empty (1, 0) for what is not in the picture."""
-        n = len(centres_cam)
-        box = np.tile(np.array([1, 0, 1, 0], np.int32), (n, 1))
-        fine = np.ones(n, np.int32)
-        for i, c in enumerate(centres_cam):
-            if c[2] > radius_m + kernels.NEAR_M:
-                bounds = [
-                    sphere_bounds(c[k], c[2], radius_m, self.lens[k], self.lens[2 + k], (self.width, self.height)[k])
-                    for k in (0, 1)
-                ]
-                if all(low <= high for low, high in bounds):
-                    box[i] = [*bounds[0], *bounds[1]]
-                    fine[i] = FINE if radius_m * self.lens[0] / c[2] < FINE_RADIUS_PX else FINE // 3
+        box = np.empty((len(centres_cam), 4), np.int32)
+        lights.bound_spheres(centres_cam, radius_m, self.lens, self.width, self.height, box)
+        fine = np.where(radius_m * self.lens[0] < FINE_RADIUS_PX * centres_cam[:, 2], FINE, FINE // 3).astype(np.int32)
         sizes = (box[:, 1] - box[:, 0] + 1) * (box[:, 3] - box[:, 2] + 1) * fine * fine
-        offset = np.concatenate([[0], np.cumsum(sizes)])
-        spheres = np.column_stack([centres_cam, np.full(n, radius_m)])
-        return Spheres(spheres, box, fine, offset[:-1].astype(np.int32), int(offset[-1]))
-
-
-def sphere_bounds(across: float, ahead: float, radius: float, f_px: float, c_px: float, size: int) -> tuple[int, int]:
-    """Return the first and last pixel that a sphere's outline touches along one axis, cut to the picture."""
-    middle, half = np.arctan2(across, ahead), np.arcsin(min(1.0, radius / np.hypot(across, ahead)))
-    limit = 0.5 * np.pi - 1e-6
-    low = f_px * np.tan(max(middle - half, -limit)) + c_px
-    high = f_px * np.tan(min(middle + half, limit)) + c_px
-    return int(np.floor(max(low + 0.5, 0.0))), int(np.floor(min(high + 0.5, size - 1.0)))
+        ends = np.cumsum(sizes)
+        spheres = np.column_stack([centres_cam, np.full(len(centres_cam), radius_m)])
+        return Spheres(spheres, box, fine, (ends - sizes).astype(np.int32), int(ends[-1]))
 
 
 @lru_cache(maxsize=8)
@@ -142,7 +126,7 @@ class Triangles:
 
     def __init__(self) -> None:
         mesh, _ = scene_mesh()
-        self._xyz, self._rgb = np.empty_like(mesh.vertices), np.empty_like(mesh.vertices)
+        self._xyz, self._rgb, self._screen = (np.empty_like(mesh.vertices) for _ in range(3))
         self.table = np.empty((2 * len(mesh.triangles), kernels.COLUMNS))
         self.box = np.empty((2 * len(mesh.triangles), 4), np.int32)
 
@@ -153,35 +137,36 @@ class Triangles:
         T_ned_part = [T_ned_tanker, *(T_ned_tanker @ T for T in boom_poses(boom))]
         T = np.stack([(T_cam_ned @ T_part).as_matrix()[:3] for T_part in T_ned_part])
         R_ned = np.stack([T_part.R for T_part in T_ned_part])
-        light = np.array([SUN_NED / np.sqrt(SUN_NED @ SUN_NED), SUNLIGHT, FROM_ABOVE, FROM_BELOW])
-        kernels.light_vertices(mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, light, self._xyz, self._rgb)
+        kernels.light_vertices(mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, LIT_BY, self._xyz, self._rgb)
         size = np.array([pinhole.width * ss, pinhole.height * ss], np.int32)
         lens = pinhole.sample_lens(ss)
-        return int(kernels.set_up_triangles(self._xyz, self._rgb, mesh.triangles, lens, size, self.table, self.box))
+        return int(kernels.set_up_triangles(self._xyz, self._rgb, mesh.triangles, lens, size, self._screen, self.table,
+                                            self.box))
 
 
 class CameraPicture:
     """Draws what the camera sees; keep one per camera, its buffers are used again."""
 
-    def __init__(self, camera: CameraConfig, tanker: TankerConfig, rng: np.random.Generator, supersampling: int = 4,
-                 threads: int = 2, *, light: tuple[float, float, float] = LIGHT, noise: float = NOISE) -> None:
-        """Make sky and noise from ``rng``; ``supersampling`` samples per pixel and axis.
+    def __init__(self, camera: CameraConfig, tanker: TankerConfig, rng: np.random.Generator, threads: int = 2, *,
+                 light: tuple[float, float, float] = LIGHT, noise: float = NOISE) -> None:
+        """Make sky and noise from ``rng``.
 
         ``light`` red, green, blue of the markers in full scales; ``noise`` standard deviation in steps of 1/255.
         """
-        self.camera, self.tanker, self.supersampling, self.threads = camera, tanker, supersampling, threads
+        self.camera, self.tanker, self.threads = camera, tanker, threads
         self._rng, self._light = rng, np.array(light)
         self._pinhole = pinhole_of(camera)
         self._markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
-        self._sky = make_sky(rng)
+        self._sky = pack_sky(make_sky(rng))
         size = camera.width_px * camera.height_px * 3
         self._noise = np.clip(np.round(noise * rng.standard_normal(size + NOISE_OFFSETS)), -127, 127).astype(np.int8)
         self._spread = point_spread()
+        self._cover = np.zeros((camera.height_px + 2 * lights.MARGIN, camera.width_px + 2 * lights.MARGIN), np.float32)
         self._pool = ThreadPoolExecutor(max_workers=max(1, threads - 1)) if threads > 1 else None
-        across, down = (-(-n // kernels.TILE) for n in (self._pinhole.width, self._pinhole.height))
-        tiles = np.arange(across * down, dtype=np.int32)
-        turn = (tiles % across + tiles // across) % threads
-        self._shares = [tiles[turn == k] for k in range(threads)]
+        across, down = (-(-n // tiles.TILE) for n in (self._pinhole.width, self._pinhole.height))
+        every = np.arange(across * down, dtype=np.int32)
+        turn = (every % across + every // across) % threads
+        self._shares = [every[turn == k] for k in range(threads)]
         self._grid = (across, down)
         self._triangles = Triangles()
 
@@ -202,15 +187,15 @@ class CameraPicture:
     def _draw(self, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState, spheres: Spheres,
               mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Draw airframe, boom and sky; fill ``mask`` with the samples of the lights that nothing hides."""
-        pinhole, ss = self._pinhole, self.supersampling
-        count = self._triangles.place(pinhole, ss, T_ned_tanker, T_ned_cam, boom)
+        pinhole = self._pinhole
+        count = self._triangles.place(pinhole, tiles.SS, T_ned_tanker, T_ned_cam, boom)
         tri, box = self._triangles.table, self._triangles.box
-        starts, members = kernels.sort_into_tiles(box, count, kernels.TILE * ss, *self._grid)
+        starts, members = kernels.sort_into_tiles(box, count, tiles.EDGE, *self._grid)
         picture = np.empty((pinhole.height, pinhole.width, 3), np.uint8)
 
         def draw(share: NDArray[np.int32]) -> None:
-            kernels.draw_tiles(share, starts, members, tri, box, spheres.centres, spheres.box, spheres.offset,
-                               spheres.fine, mask, pinhole.lens, ss, self._sky, T_ned_cam.R, picture)
+            tiles.draw_tiles(share, starts, members, tri, box, spheres.centres, spheres.box, spheres.offset,
+                             spheres.fine, mask, pinhole.lens, self._sky, T_ned_cam.R, picture)
 
         others = [self._pool.submit(draw, share) for share in self._shares[1:]] if self._pool else []
         draw(self._shares[0])
@@ -220,26 +205,31 @@ class CameraPicture:
 
     def _add_lights(self, picture: NDArray[np.uint8], spheres: Spheres, mask: NDArray[np.uint8]) -> None:
         """Spread the visible samples of the lights by lens and distortion, and lay them over the picture."""
-        jacobian = np.stack([self._bend(c) for c in spheres.centres])
-        cover = np.zeros(picture.shape[:2], np.float32)
-        lights.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, cover)
-        lights.add_lights(picture, cover, self._light)
+        jacobian = self._bend(spheres.centres)
+        window = np.empty_like(spheres.box)
+        lights.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, self._cover,
+                             window)
+        lights.add_lights(picture, self._cover, window, self._light)
 
-    def _bend(self, centre_cam: Vec) -> Vec:
-        """Return how the lens moves pinhole pixels near a light, for ``rasterizer.spread_lights``."""
-        if centre_cam[2] <= 0:
-            return np.zeros(8)
+    def _bend(self, centres_cam: Mat) -> Mat:
+        """Return how the lens moves pinhole pixels near each light (n, 8), for ``lights.spread_lights``.
+
+        All zero for a light that is not ahead of the camera, or that the lens does not show.
+        """
         lens = self._pinhole.lens
-        xy = centre_cam[:2] / centre_cam[2]
+        xy = centres_cam[:, :2] / np.where(centres_cam[:, 2:3] > 0, centres_cam[:, 2:3], np.nan)
         at = xy * lens[:2] + lens[2:]
+        bend = np.zeros((len(at), 8))
+        bend[:, :2] = at
         if self._pinhole.maps is None:
-            return np.array([at[0], at[1], at[0], 1.0, 0.0, at[1], 0.0, 1.0])
-        right, down = np.diag(0.5 / lens[:2])
-        there = normalised_to_pixels(self.camera, np.stack([xy, xy + right, xy - right, xy + down, xy - down]))
-        if np.isnan(there).any():
-            return np.zeros(8)
-        by_x, by_y = there[1] - there[2], there[3] - there[4]
-        return np.array([at[0], at[1], there[0, 0], by_x[0], by_y[0], there[0, 1], by_x[1], by_y[1]])
+            bend[:, [2, 5]], bend[:, [3, 7]] = at, 1.0
+        else:
+            right, down = np.diag(0.5 / lens[:2])
+            around = np.concatenate([xy, xy + right, xy - right, xy + down, xy - down])
+            there = normalised_to_pixels(self.camera, around).reshape(5, -1, 2)
+            bend[:, [2, 5]], bend[:, [3, 6]], bend[:, [4, 7]] = there[0], there[1] - there[2], there[3] - there[4]
+        bend[np.isnan(bend).any(axis=1)] = 0.0
+        return bend
 
 
 def point_spread(phases: int = 256) -> Mat:

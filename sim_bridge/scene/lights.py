@@ -7,16 +7,45 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.scene.rasterizer import F32, F64, I32, U8, kernel
+from sim_bridge.scene.rasterizer import F32, F64, I32, INVERSE, LEFT, NEAR_M, RIGHT, U8, kernel
+
+MARGIN = 4
+"""Room about the picture of what the lights cover, so that what falls beyond its edge needs no test."""
 
 
 @kernel
-def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F64, spread: F64, cover: F32) -> None:
-    """Add the light of every visible sphere sample to ``cover`` (h, w), spread by the lens.
+def bound_spheres(centres: F64, radius: float, lens: F64, width: int, height: int, box: I32) -> None:
+    """Write first and last column and row of pixels that each sphere's outline touches to ``box`` (n, 4).
+
+    Cut to the picture; empty (1, 0, 1, 0) for a sphere that is not in it or not ahead.
+    """
+    limit = 0.5 * math.pi - 1e-6
+    for s in range(len(centres)):
+        box[s, 0], box[s, 1], box[s, 2], box[s, 3] = 1, 0, 1, 0
+        z = centres[s, 2]
+        if not z > radius + NEAR_M:
+            continue
+        for k in range(2):
+            across = centres[s, k]
+            middle, half = math.atan2(across, z), math.asin(min(1.0, radius / math.hypot(across, z)))
+            low = lens[k] * math.tan(max(middle - half, -limit)) + lens[2 + k] + 0.5
+            high = lens[k] * math.tan(min(middle + half, limit)) + lens[2 + k] + 0.5
+            size = height if k else width
+            box[s, 2 * k] = math.floor(min(max(low, 0.0), float(size)))
+            box[s, 2 * k + 1] = math.floor(max(min(high, size - 0.5), -1.0))
+        if box[s, 0] > box[s, 1] or box[s, 2] > box[s, 3]:
+            box[s, 0], box[s, 1], box[s, 2], box[s, 3] = 1, 0, 1, 0
+
+
+@kernel
+def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F64, spread: F64, cover: F32,
+                  window: I32) -> None:
+    """Add the light of every visible sphere sample to ``cover`` (h + 2 MARGIN, w + 2 MARGIN), spread by the lens.
 
     ``jacobian`` (n, 8) maps a pinhole pixel to the picture about each sphere, to first order: x0, y0, then picture
     x = [2] + [3] dx + [4] dy and y = [5] + [6] dx + [7] dy. ``spread`` (p, 5): share of a point at phase p that falls
-    on the pixels two before to two after its own.
+    on the pixels two before to two after its own. ``window`` (n, 4) gets first and last column and row of ``cover``
+    that the sphere reaches, empty when none.
     """
     h, w = cover.shape
     phases = len(spread)
@@ -24,6 +53,7 @@ def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F
         k, J = fine[s], jacobian[s]
         width, height = (sphere_box[s, 1] - sphere_box[s, 0] + 1) * k, (sphere_box[s, 3] - sphere_box[s, 2] + 1) * k
         share = abs(J[3] * J[7] - J[4] * J[6]) / (k * k)
+        i_min, i_max, j_min, j_max = w, -1, h, -1
         for n in range(width * height):
             if mask[offset[s] + n] == 0:
                 continue
@@ -31,22 +61,34 @@ def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F
             dy = sphere_box[s, 2] - 0.5 + (n // width + 0.5) / k - J[1]
             x, y = J[2] + J[3] * dx + J[4] * dy + 0.5, J[5] + J[6] * dx + J[7] * dy + 0.5
             i, j = math.floor(x), math.floor(y)
-            sx, sy = spread[int((x - i) * phases)], spread[int((y - j) * phases)]
-            for b in range(max(0, 2 - j), min(5, h + 2 - j)):
-                for a in range(max(0, 2 - i), min(5, w + 2 - i)):
-                    cover[j + b - 2, i + a - 2] += np.float32(share * sx[a] * sy[b])
+            left, top = i + MARGIN - 2, j + MARGIN - 2
+            if left < 0 or top < 0 or left + 5 > w or top + 5 > h:
+                continue
+            i_min, i_max, j_min, j_max = min(i_min, left), max(i_max, left), min(j_min, top), max(j_max, top)
+            sx, sy = int((x - i) * phases), int((y - j) * phases)
+            for b in range(5):
+                along = share * spread[sy, b]
+                for a in range(5):
+                    cover[top + b, left + a] += np.float32(along * spread[sx, a])
+        window[s, 0], window[s, 1], window[s, 2], window[s, 3] = i_min, i_max + 4, j_min, j_max + 4
 
 
 @kernel
-def add_lights(picture: U8, cover: F32, light: F64) -> None:
-    """Lay lights of colour ``light`` (3,), in full scales, over ``picture`` where ``cover`` says, clipping at 255."""
-    for y in range(cover.shape[0]):
-        for x in range(cover.shape[1]):
-            c = min(float(cover[y, x]), 1.0)
-            if c > 0.0:
-                for k in range(3):
-                    value = float(picture[y, x, k]) * (1.0 - c) + 255.0 * light[k] * c
-                    picture[y, x, k] = np.uint8(min(255.0, value + 0.5))
+def add_lights(picture: U8, cover: F32, window: I32, light: F64) -> None:
+    """Lay lights of colour ``light`` (3,), in full scales, over ``picture`` where ``cover`` says, clipping at 255.
+
+    Only the parts of ``cover`` that ``window`` names are looked at, and left empty for the next picture.
+    """
+    h, w, _ = picture.shape
+    for s in range(len(window)):
+        for j in range(window[s, 2], window[s, 3] + 1):
+            for i in range(window[s, 0], window[s, 1] + 1):
+                c, y, x = min(float(cover[j, i]), 1.0), j - MARGIN, i - MARGIN
+                cover[j, i] = 0.0
+                if c > 0.0 and 0 <= x < w and 0 <= y < h:
+                    for k in range(3):
+                        value = float(picture[y, x, k]) * (1.0 - c) + 255.0 * light[k] * c
+                        picture[y, x, k] = np.uint8(min(255.0, value + 0.5))
 
 
 @kernel
@@ -82,13 +124,11 @@ def sphere_visibility(tri: F64, box: I32, count: int, sphere: F64, lens: F64, di
         seen[k] = 1
         for m in range(n):
             t = near[m]
-            if tri[t, 9] * u + tri[t, 10] * v + tri[t, 11] <= inverse_depth:
+            if tri[t, INVERSE] * u + tri[t, INVERSE + 1] * v + tri[t, INVERSE + 2] <= inverse_depth:
                 continue
-            covers = True
-            for e in range(3):
-                edge = tri[t, 3 * e + 1] * v + tri[t, 3 * e + 2]
-                side = tri[t, 3 * e]
-                covers = covers and ((side == 0.0 and edge >= 0.0) or (side != 0.0 and (u - edge) * side >= 0.0))
-            if covers:
+            left = max(tri[t, LEFT] * v + tri[t, LEFT + 1], tri[t, LEFT + 2] * v + tri[t, LEFT + 3])
+            right = min(tri[t, RIGHT] * v + tri[t, RIGHT + 1], tri[t, RIGHT + 2] * v + tri[t, RIGHT + 3])
+            # A level edge is in the box only, which is rounded inwards to samples.
+            if left <= u <= right and box[t, 2] - 1 < v < box[t, 3] + 1:
                 seen[k] = 0
                 break

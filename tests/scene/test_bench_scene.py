@@ -19,8 +19,8 @@ PLACES = {"start": START, "half way": 0.5 * (START + CONTACT), "contact": CONTAC
 
 @pytest.mark.parametrize("name", ["thesis", "default"])
 def test_time_of_a_picture(scene: Scene, name: str) -> None:
-    for samples, threads in ((4, 1), (4, 2), (3, 2)):
-        picture = CameraPicture(scene.cameras[name], scene.tanker, np.random.default_rng(1), samples, threads)
+    for threads in (1, 2):
+        picture = CameraPicture(scene.cameras[name], scene.tanker, np.random.default_rng(1), threads)
         row = []
         for place in PLACES.values():
             T_ned_frd, spent = scene.T_ned_frd(place), []
@@ -30,7 +30,7 @@ def test_time_of_a_picture(scene: Scene, name: str) -> None:
                 spent.append(time.perf_counter_ns() - start)
             row.append(np.median(spent) / 1e6)
         cells = ", ".join(f"{place} {ms:.1f}" for place, ms in zip(PLACES, row, strict=True))
-        print(f"\n{name}: {samples}x{samples} samples, {threads} threads: {cells} ms")
+        print(f"\n{name}: {threads} threads: {cells} ms")
         assert min(row) > 0
 
 
