@@ -137,6 +137,8 @@ def run(setup: Setup, options: RunOptions) -> int:
                 or in_phase_s(service, Phase.BREAKAWAY, now_ns) >= enough(options.stop_after_breakaway_s)
             )
 
+        if options.run_dir is None:
+            console.notice(f"recording to {recorder.folder}")
         slips = run_live(service, sources, clock, setup.config.guidance.rate_hz, done)
         recorder.write_summary({"deadline_slips": slips, "phase": str(service.phase)})
     return 0
