@@ -61,7 +61,10 @@ def light_vertices(vertices: F64, normals: F64, colours: F64, part: I32, T: F64,
 
 @kernel
 def project_vertices(xyz: F64, lens: F64, screen: F64) -> None:
-    """Write x, y in samples and 1/z of points in camera axes to ``screen`` (n, 3); meaningless when not ahead."""
+    """Write x, y in samples and 1/z of points in camera axes to ``screen``, in the first three columns of both.
+
+    It may be ``xyz`` itself. What is written is meaningless for points that are not ahead.
+    """
     for i in range(len(xyz)):
         w = 1.0 / xyz[i, 2]
         screen[i, 0] = lens[0] * xyz[i, 0] * w + lens[2]
@@ -141,7 +144,7 @@ def set_up_triangles(xyz: F64, rgb: F64, triangles: I32, lens: F64, size: I32, s
     """
     project_vertices(xyz, lens, screen)
     count = 0
-    corner, space, poly = np.empty((6, 3)), np.empty((3, 6)), np.empty((4, 6))
+    corner, space, poly = np.empty((6, 3)), np.empty((3, 6)), np.ones((4, 6))
     for t in range(len(triangles)):
         a, b, c = triangles[t, 2], triangles[t, 1], triangles[t, 0]
         ahead = (xyz[a, 2] > NEAR_M) + (xyz[b, 2] > NEAR_M) + (xyz[c, 2] > NEAR_M)
@@ -159,7 +162,7 @@ def set_up_triangles(xyz: F64, rgb: F64, triangles: I32, lens: F64, size: I32, s
                 for n in range(3):
                     space[k, n], space[k, 3 + n] = xyz[triangles[t, 2 - k], n], 255.0 * rgb[triangles[t, 2 - k], n]
             corners = clip_near(space, poly)
-            project_vertices(poly[:corners, :3], lens, poly[:, :3])
+            project_vertices(poly, lens, poly)
             for k in range(1, corners - 1):
                 for n in range(6):
                     corner[n, 0], corner[n, 1], corner[n, 2] = poly[0, n], poly[k, n], poly[k + 1, n]
@@ -175,12 +178,15 @@ def clip_near(space: F64, poly: F64) -> int:
     """
     n = 0
     for i in range(3):
-        p, q = space[i], space[(i + 1) % 3]
-        if p[2] > NEAR_M:
-            poly[n] = p
+        j = (i + 1) % 3
+        here, there = space[i, 2] - NEAR_M, space[j, 2] - NEAR_M
+        if here > 0.0:
+            for k in range(6):
+                poly[n, k] = space[i, k]
             n += 1
-        if (p[2] > NEAR_M) != (q[2] > NEAR_M):
-            poly[n] = p + (q - p) * ((NEAR_M - p[2]) / (q[2] - p[2]))
+        if (here > 0.0) != (there > 0.0):
+            for k in range(6):
+                poly[n, k] = space[i, k] + (space[j, k] - space[i, k]) * (here / (here - there))
             poly[n, 2] = NEAR_M
             n += 1
     return n

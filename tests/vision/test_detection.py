@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -5,6 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from companion.config import DetectionConfig
+from companion.vision import detection_kernel as kernels
 from companion.vision.detection import detect_markers
 
 SKY, FUSELAGE = (120.0, 160.0, 210.0), (150.0, 150.0, 150.0)
@@ -126,3 +128,48 @@ def test_what_is_no_picture_is_refused(shape):
         detect_markers(np.zeros(shape, np.uint8))
     with pytest.raises(ValueError, match="float64"):
         detect_markers(np.zeros((4, 4, 3)))
+
+
+MASKS = arrays(np.bool_, st.tuples(st.integers(1, 20), st.integers(1, 20)))
+
+
+@settings(deadline=None, max_examples=200)
+@given(MASKS)
+def test_components_are_those_of_opencv_in_raster_order(mask):
+    """Oracle: cv2.connectedComponents with 8 neighbours, which numbers them in another order."""
+    runs = kernels.find_runs(mask.astype(np.uint8), 0)
+    found = kernels.join_runs(runs)
+    ours = np.zeros(mask.shape, np.int64)
+    for row, first, last, owner in runs:
+        ours[row, first : last + 1] = owner + 1
+    count, theirs, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    pairs = {*zip(ours.ravel().tolist(), theirs.ravel().tolist(), strict=True)} - {(0, 0)}
+    assert len(pairs) == count - 1 == len(found)
+    np.testing.assert_array_equal(ours > 0, mask)
+    first_pixels = [int(np.argmax(ours.ravel() == k + 1)) for k in range(len(found))]
+    assert first_pixels == sorted(first_pixels)
+    for k, place in enumerate(first_pixels):
+        left, top, width, height, area = stats[theirs.ravel()[place]]
+        np.testing.assert_array_equal(found[k], [area, left, left + width - 1, top, top + height - 1])
+
+
+@settings(deadline=None, max_examples=100)
+@given(arrays(np.uint8, st.tuples(st.integers(1, 16), st.integers(1, 16), st.just(3))), st.integers(0, 9), st.data())
+def test_surroundings_are_the_opening_of_opencv(picture, half, data):
+    size = 2 * half + 1
+    left, top = (data.draw(st.integers(0, picture.shape[k] - 1)) for k in (1, 0))
+    h, w = data.draw(st.integers(1, picture.shape[0] - top)), data.draw(st.integers(1, picture.shape[1] - left))
+    signed = picture.astype(np.int16)
+    redness = signed[..., 0] - signed[..., 1:].max(axis=2)
+    opened = cv2.morphologyEx(redness, cv2.MORPH_OPEN, np.ones((size, size), np.uint8))
+    ours = kernels.surroundings(picture, left, top, h, w, size)
+    np.testing.assert_array_equal(ours, opened[top : top + h, left : left + w])
+
+
+def test_a_read_only_picture_is_as_good(paint):
+    picture = as_bytes(paint(canvas(SKY), [(17.3, 14.6, 1.7)]))
+    writable = detect_markers(picture)
+    assert picture.flags.writeable
+    picture.flags.writeable = False
+    np.testing.assert_array_equal(detect_markers(picture).uv_px, writable.uv_px)
+    np.testing.assert_array_equal(detect_markers(picture.transpose(1, 0, 2)).uv_px[:, ::-1], writable.uv_px)
