@@ -208,7 +208,8 @@ class Vehicle:
 
     def _do_set_mode(self, message: Message, t_ns: int) -> int:
         del t_ns
-        custom = whole(message.param1) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        flags = whole(message.param1)
+        custom = flags >= 0 and flags & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         name = MODE_NAMES.get(whole(message.param2))
         if not custom or name is None:
             return dialect.MAV_RESULT_DENIED

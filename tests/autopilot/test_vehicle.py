@@ -319,7 +319,9 @@ def test_mode_is_changed_on_command_and_setpoints_are_obeyed_in_guided_only(link
     assert link.command is not None
 
 
-@pytest.mark.parametrize("params", [(1.0, 99.0), (0.0, 15.0), (1.0, math.nan)])
+@pytest.mark.parametrize("params", [
+    (1.0, 99.0), (0.0, 15.0), (1.0, math.nan), (1.0, -1.0), (math.nan, 0.0), (-1.0, 0.0), (1.5, 0.0), (math.inf, 0.0),
+])
 def test_mode_that_is_none_is_denied(link: Link, params: tuple[float, float]) -> None:
     assert link.ask(dialect.MAV_CMD_DO_SET_MODE, *params)[0] == dialect.MAV_RESULT_DENIED
     assert link.vehicle.mode == "GUIDED"
