@@ -217,6 +217,7 @@ class RunRecorder:
                 "write_failures": self._events.failures + self._tlog.failures,
                 "records_dropped": self._events.dropped + self._tlog.dropped,
                 "pictures_dropped": self._rerun.pictures_dropped,
+                "messages_dropped": self._rerun.messages_dropped,
             },
         }
 

@@ -206,6 +206,14 @@ def test_a_flight_goes_on_when_no_file_can_be_written(tmp_path: Path) -> None:
     assert not (tmp_path / "summary.json").exists()
 
 
+def test_what_the_log_for_eyes_had_to_leave_out_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.io.rerun_log.QUEUE_LENGTH", 0)
+    with RunRecorder(tmp_path, synthetic_setup()) as recorder:
+        for k in range(3):
+            recorder.latency(k, "vision", 1)
+    assert recorder.write_summary({})["recorder"]["messages_dropped"] == 3
+
+
 def test_an_unusable_folder_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
