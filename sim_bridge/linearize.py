@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 from scipy.optimize import root
 
-from companion.config import FIRMWARE_CONFIGS, AirframeConfig, AttitudeResponse, TrimConfig
+from companion.config import FIRMWARE_CONFIGS, AirframeConfig, AttitudeResponse, ConfigError, TrimConfig
 from companion.geometry import Mat, Vec
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.response import identify_response
@@ -201,8 +201,15 @@ def matrix(
 
 
 def write_airframe(path: Path = AIRFRAME_FILE) -> Linearization:
-    """Linearise and write ``path`` as ``companion.config.AirframeConfig``; return what was found."""
+    """Linearise and write ``path`` as ``companion.config.AirframeConfig``; return what was found.
+
+    Raises ConfigError when ``path`` cannot be written, PlantError when the receiver does not trim.
+    """
     result = linearize()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(tomli_w.dumps(msgspec.to_builtins(result.airframe)).encode())
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(tomli_w.dumps(msgspec.to_builtins(result.airframe)).encode())
+    except OSError as error:
+        msg = f"{path}: cannot be written ({error.strerror}); give another file with --write"
+        raise ConfigError(msg) from None
     return result

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.config import AirframeConfig, load
+from companion.config import AirframeConfig, ConfigError, load
 from sim_bridge.linearize import AIRFRAME_FILE, Linearization, linearize, report, write_airframe
 from sim_bridge.plant.actuators import default_channels
 from sim_bridge.plant.response import STEP_RAD, second_order_step, step_response
@@ -61,6 +61,12 @@ def test_file_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "new" / "airframe.toml"
     written = write_airframe(path)
     assert load(path, AirframeConfig) == written.airframe
+
+
+def test_a_file_that_cannot_be_written_is_told_with_the_option(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match=r"^.*file/below\.toml: cannot be written \(.*\); .* with --write$"):
+        write_airframe(tmp_path / "file" / "below.toml")
 
 
 def test_report_tells_trim_modes_and_matrices(result: Linearization) -> None:
