@@ -2,7 +2,7 @@
 
 Rules
 -----
-* 50 Hz at most, whatever the simulator's step.
+* Every instant that comes in is kept: how often, the simulator decides (50 Hz).
 * Both aircraft are drawn about the tanker as in ``flight.rrd``, solid where the companion's belief is drawn as lines;
   ``mrf`` has the tanker's course of the first instant.
 * ``truth.npz``: ``t_ns`` (n,), ``p_mrf_br_m`` (n, 3), ``p_ned_uav_m``, ``p_ned_tanker_m`` (n, 3), ``R_ned_frd``,
@@ -25,7 +25,6 @@ from sim_bridge.scene.meshing import Mesh, merge
 from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh, uav_mesh
 from sim_bridge.truth import BoomState, Truth
 
-STEP_NS = 20_000_000
 BATCH = 50
 """Truths that are drawn together: one second."""
 
@@ -42,7 +41,6 @@ class TruthLog:
         self._truths: list[Truth] = []
         self._br: list[Vec] = []
         self._drawn = 0
-        self._due_ns: int | None = None
         self._R_mrf_ned: Mat = np.eye(3)
         self._closed = False
         draw_setup(self._scene, setup)
@@ -50,12 +48,9 @@ class TruthLog:
         draw_truth_lines(self._scene)
 
     def append(self, truth: Truth, p_mrf_br_m: Vec) -> None:
-        """Take one instant and its BR (3,), from box to receptacle in ``mrf``; instants between 50 Hz are left out."""
-        if self._due_ns is None:
+        """Take one instant and its BR (3,), from box to receptacle in ``mrf``."""
+        if not self._truths:
             self._begin(truth)
-        elif truth.t_ns < self._due_ns:
-            return
-        self._due_ns = truth.t_ns + STEP_NS
         self._truths.append(truth)
         self._br.append(np.array(p_mrf_br_m))
         if len(self._truths) - self._drawn >= BATCH:
