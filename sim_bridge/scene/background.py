@@ -1,4 +1,4 @@
-"""Compiled kernels of the sky behind a tile.
+"""Compiled kernels of the sky behind everything.
 
 The sky is looked up at every second pixel, as fine as the cube's own faces, and halved between. The three channels of a
 texel share one word (``pack_sky``), so that one multiplication weighs all three.
@@ -31,8 +31,8 @@ def pack_sky(cube: U8) -> U64:
 
 
 @kernel
-def find_texels(n: int, R_ned_cam: F64, lens: F64, x0: int, y: int, texels: I32) -> None:
-    """Find where the pixels x0, x0 + 2, ... of row y look in a sky cube whose faces have n by n texels.
+def find_texels(n: int, R_ned_cam: F64, lens: F64, y: int, texels: I32) -> None:
+    """Find where the pixels 0, 2, 4, ... of row y look in a sky cube whose faces have n by n texels.
 
     Face 2 k is seen along +axis k of north-east-down, 2 k + 1 along -axis k; columns and rows are the next two axes.
     ``texels`` (3, ...) gets the texel's place in the flat cube and how far past its middle, in PARTs, right and down.
@@ -44,7 +44,7 @@ def find_texels(n: int, R_ned_cam: F64, lens: F64, x0: int, y: int, texels: I32)
     b2 = R_ned_cam[2, 1] * down + R_ned_cam[2, 2]
     size, last = np.int32(n), np.int32(n - 2)
     for i in range(texels.shape[1]):
-        x = (x0 + 2 * i - lens[2]) * across
+        x = (2 * i - lens[2]) * across
         d0, d1, d2 = r0 * x + b0, r1 * x + b1, r2 * x + b2
         # Chosen, not branched to, so that a row is found several at a time.
         first, second = (abs(d0) >= abs(d1)) & (abs(d0) >= abs(d2)), abs(d1) >= abs(d2)
@@ -77,19 +77,18 @@ def look_up_sky(sky: U64, texels: I32, row: int, coarse: U16) -> None:
 
 
 @kernel
-def draw_sky(sky: U64, R_ned_cam: F64, lens: F64, x0: int, y0: int, texels: I32, coarse: U16, lines: U8) -> None:
-    """Fill the tile at (x0, y0) of a picture (h, 3 w), whose channels lie side by side, with the sky behind it.
+def draw_sky(sky: U64, R_ned_cam: F64, lens: F64, texels: I32, coarse: U16, y0: int, lines: U8) -> None:
+    """Fill ``lines`` (rows, 3 w), rows of a picture from y0 on whose channels lie side by side, with the sky.
 
-    ``texels`` (3, TILE / 2 + 1) and ``coarse`` (TILE / 2 + 1, 3 TILE + 6) are work space. As every look-up is there
+    ``texels`` (3, w / 2 + 1) and ``coarse`` (rows / 2 + 1, 6 (w / 2 + 1)) are work space. As every look-up is there
     twice, each pixel is the mean of its own, the one to the right, and in odd rows the two below them.
     """
-    rows, n = min(2 * coarse.shape[0] - 2, lines.shape[0] - y0), min(coarse.shape[1] - 6, lines.shape[1] - 3 * x0)
+    rows, n = lines.shape
     for j in range(rows // 2 + 1):
-        find_texels(sky.shape[1], R_ned_cam, lens, x0, y0 + 2 * j, texels)
+        find_texels(sky.shape[1], R_ned_cam, lens, y0 + 2 * j, texels)
         look_up_sky(sky, texels, j, coarse)
     for r in range(rows):
         above, below = coarse[r // 2], coarse[(r + 1) // 2]
-        a, b, c, d = above[:n], above[3 : n + 3], below[:n], below[3 : n + 3]
-        line = lines[y0 + r, 3 * x0 : 3 * x0 + n]
+        a, b, c, d, line = above[:n], above[3 : n + 3], below[:n], below[3 : n + 3], lines[r]
         for k in range(n):
             line[k] = (a[k] + b[k] + c[k] + d[k] + 128) >> 8

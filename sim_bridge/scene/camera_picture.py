@@ -155,7 +155,7 @@ class CameraPicture:
         """
         self.camera, self.tanker, self.threads = camera, tanker, threads
         self._rng, self._light = rng, np.array(light)
-        self._pinhole = pinhole_of(camera)
+        self._pinhole, self._T_frd_cam = pinhole_of(camera), T_frd_cam(camera)
         self._markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
         self._sky = pack_sky(make_sky(rng))
         size = camera.width_px * camera.height_px * 3
@@ -164,15 +164,13 @@ class CameraPicture:
         self._cover = np.zeros((camera.height_px + 2 * lights.MARGIN, camera.width_px + 2 * lights.MARGIN), np.float32)
         self._pool = ThreadPoolExecutor(max_workers=max(1, threads - 1)) if threads > 1 else None
         across, down = (-(-n // tiles.TILE) for n in (self._pinhole.width, self._pinhole.height))
-        every = np.arange(across * down, dtype=np.int32)
-        turn = (every % across + every // across) % threads
-        self._shares = [every[turn == k] for k in range(threads)]
+        self._shares = [np.arange(k, down, threads, dtype=np.int32) for k in range(threads)]
         self._grid = (across, down)
         self._triangles = Triangles()
 
     def render(self, T_ned_tanker: SE3, T_ned_frd: SE3, boom: BoomState) -> NDArray[np.uint8]:
         """Return the picture (h, w, 3) uint8 RGB of the tanker from the camera on the receiver."""
-        T_ned_cam = T_ned_frd @ T_frd_cam(self.camera)
+        T_ned_cam = T_ned_frd @ self._T_frd_cam
         T_cam_tanker = T_ned_cam.inverse() @ T_ned_tanker
         spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._markers), self.tanker.marker_radius_m)
         mask = np.zeros(spheres.samples, np.uint8)
@@ -190,7 +188,7 @@ class CameraPicture:
         pinhole = self._pinhole
         count = self._triangles.place(pinhole, tiles.SS, T_ned_tanker, T_ned_cam, boom)
         tri, box = self._triangles.table, self._triangles.box
-        starts, members = kernels.sort_into_tiles(box, count, tiles.EDGE, *self._grid)
+        starts, members = tiles.sort_into_tiles(box, count, *self._grid)
         picture = np.empty((pinhole.height, pinhole.width, 3), np.uint8)
 
         def draw(share: NDArray[np.int32]) -> None:

@@ -54,22 +54,25 @@ def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F
         width, height = (sphere_box[s, 1] - sphere_box[s, 0] + 1) * k, (sphere_box[s, 3] - sphere_box[s, 2] + 1) * k
         share = abs(J[3] * J[7] - J[4] * J[6]) / (k * k)
         i_min, i_max, j_min, j_max = w, -1, h, -1
-        for n in range(width * height):
-            if mask[offset[s] + n] == 0:
-                continue
-            dx = sphere_box[s, 0] - 0.5 + (n % width + 0.5) / k - J[0]
-            dy = sphere_box[s, 2] - 0.5 + (n // width + 0.5) / k - J[1]
-            x, y = J[2] + J[3] * dx + J[4] * dy + 0.5, J[5] + J[6] * dx + J[7] * dy + 0.5
-            i, j = math.floor(x), math.floor(y)
-            left, top = i + MARGIN - 2, j + MARGIN - 2
-            if left < 0 or top < 0 or left + 5 > w or top + 5 > h:
-                continue
-            i_min, i_max, j_min, j_max = min(i_min, left), max(i_max, left), min(j_min, top), max(j_max, top)
-            sx, sy = int((x - i) * phases), int((y - j) * phases)
-            for b in range(5):
-                along = share * spread[sy, b]
-                for a in range(5):
-                    cover[top + b, left + a] += np.float32(along * spread[sx, a])
+        n = offset[s] - 1
+        for v in range(height):
+            dy = sphere_box[s, 2] - 0.5 + (v + 0.5) / k - J[1]
+            for u in range(width):
+                n += 1
+                if mask[n] == 0:
+                    continue
+                dx = sphere_box[s, 0] - 0.5 + (u + 0.5) / k - J[0]
+                x, y = J[2] + J[3] * dx + J[4] * dy + 0.5, J[5] + J[6] * dx + J[7] * dy + 0.5
+                i, j = math.floor(x), math.floor(y)
+                left, top = i + MARGIN - 2, j + MARGIN - 2
+                if left < 0 or top < 0 or left + 5 > w or top + 5 > h:
+                    continue
+                i_min, i_max, j_min, j_max = min(i_min, left), max(i_max, left), min(j_min, top), max(j_max, top)
+                sx, sy = int((x - i) * phases), int((y - j) * phases)
+                for b in range(5):
+                    along = share * spread[sy, b]
+                    for a in range(5):
+                        cover[top + b, left + a] += np.float32(along * spread[sx, a])
         window[s, 0], window[s, 1], window[s, 2], window[s, 3] = i_min, i_max + 4, j_min, j_max + 4
 
 

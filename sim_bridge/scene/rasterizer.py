@@ -73,28 +73,30 @@ def project_vertices(xyz: F64, lens: F64, screen: F64) -> None:
 
 
 @kernel
-def put_plane(x: F64, y: F64, f: F64, inverse: float, tri: F64, t: int, k: int) -> None:
-    """Write a, b, c of the affine function of values ``f`` at three points to ``tri[t, k:k + 3]``.
+def put_plane(corner: F64, of: int, inverse: float, tri: F64, t: int, k: int) -> None:
+    """Write a, b, c of the affine function that has row ``of`` of ``corner`` at its corners to ``tri[t, k:k + 3]``.
 
-    ``inverse`` is one over twice the area of the points' triangle.
+    ``inverse`` is one over twice the area of the triangle.
     """
-    d1, d2 = f[1] - f[0], f[2] - f[0]
-    a = (d1 * (y[2] - y[0]) - d2 * (y[1] - y[0])) * inverse
-    b = (d2 * (x[1] - x[0]) - d1 * (x[2] - x[0])) * inverse
-    tri[t, k], tri[t, k + 1], tri[t, k + 2] = a, b, f[0] - a * x[0] - b * y[0]
+    x1, x2 = corner[0, 1] - corner[0, 0], corner[0, 2] - corner[0, 0]
+    y1, y2 = corner[1, 1] - corner[1, 0], corner[1, 2] - corner[1, 0]
+    d1, d2 = corner[of, 1] - corner[of, 0], corner[of, 2] - corner[of, 0]
+    a, b = (d1 * y2 - d2 * y1) * inverse, (d2 * x1 - d1 * x2) * inverse
+    tri[t, k], tri[t, k + 1], tri[t, k + 2] = a, b, corner[of, 0] - a * corner[0, 0] - b * corner[1, 0]
 
 
 @kernel
-def put_edges(x: F64, y: F64, tri: F64, t: int) -> None:
+def put_edges(corner: F64, tri: F64, t: int) -> None:
     """Write the left and right edges of a triangle wound so that its area is positive to row t of the table."""
     left, right = LEFT, RIGHT
     for i in range(3):
         j = (i + 1) % 3
-        a = y[i] - y[j]
+        a = corner[1, i] - corner[1, j]
         if a == 0.0:
             continue
         inverse = 1.0 / a  # the neighbour along this edge has exactly the same with both signs turned
-        slope, at = (x[i] - x[j]) * inverse, (x[j] * y[i] - x[i] * y[j]) * inverse
+        slope = (corner[0, i] - corner[0, j]) * inverse
+        at = (corner[0, j] * corner[1, i] - corner[0, i] * corner[1, j]) * inverse
         if a > 0.0:
             tri[t, left], tri[t, left + 1] = slope, at
             left += 2
@@ -114,25 +116,25 @@ def put_triangle(corner: F64, size: I32, tri: F64, box: I32, t: int) -> bool:
     ``size`` width and height in samples, ``box`` least and greatest column and row of samples. Returns False when it
     faces away or nothing of it is in the picture.
     """
-    x, y = corner[0], corner[1]
-    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+    x0, x1, x2, y0, y1, y2 = corner[0, 0], corner[0, 1], corner[0, 2], corner[1, 0], corner[1, 1], corner[1, 2]
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if not area >= 1e-9:
         return False
-    x_min, x_max = max(min(x[0], x[1], x[2]), 0.0), min(max(x[0], x[1], x[2]), size[0] - 1.0)
-    y_min, y_max = max(min(y[0], y[1], y[2]), 0.0), min(max(y[0], y[1], y[2]), size[1] - 1.0)
+    x_min, x_max = max(min(x0, x1, x2), 0.0), min(max(x0, x1, x2), size[0] - 1.0)
+    y_min, y_max = max(min(y0, y1, y2), 0.0), min(max(y0, y1, y2), size[1] - 1.0)
     if x_max < x_min or y_max < y_min:
         return False
     box[t, 0], box[t, 1] = math.ceil(x_min), math.floor(x_max)
     box[t, 2], box[t, 3] = math.ceil(y_min), math.floor(y_max)
     if box[t, 0] > box[t, 1] or box[t, 2] > box[t, 3]:
         return False
-    put_edges(x, y, tri, t)
+    put_edges(corner, tri, t)
     inverse = 1.0 / area
-    put_plane(x, y, corner[2], inverse, tri, t, INVERSE)
+    put_plane(corner, 2, inverse, tri, t, INVERSE)
     for c in range(3):
-        f = corner[3 + c]
-        put_plane(x, y, f, inverse, tri, t, COLOUR + 3 * c)
-        tri[t, LEAST + c], tri[t, MOST + c] = min(f[0], f[1], f[2]), max(f[0], f[1], f[2])
+        f0, f1, f2 = corner[3 + c, 0], corner[3 + c, 1], corner[3 + c, 2]
+        put_plane(corner, 3 + c, inverse, tri, t, COLOUR + 3 * c)
+        tri[t, LEAST + c], tri[t, MOST + c] = min(f0, f1, f2), max(f0, f1, f2)
     return True
 
 
@@ -190,26 +192,6 @@ def clip_near(space: F64, poly: F64) -> int:
             poly[n, 2] = NEAR_M
             n += 1
     return n
-
-
-@kernel
-def sort_into_tiles(box: I32, count: int, edge: int, across: int, down: int) -> tuple[I32, I32]:
-    """Return (starts (tiles + 1,), triangle indices by tile) for tiles of ``edge`` samples."""
-    starts = np.zeros(across * down + 1, np.int32)
-    for t in range(count):
-        for j in range(box[t, 2] // edge, box[t, 3] // edge + 1):
-            for i in range(box[t, 0] // edge, box[t, 1] // edge + 1):
-                starts[j * across + i + 1] += 1
-    for k in range(across * down):
-        starts[k + 1] += starts[k]
-    fill = starts[:-1].copy()
-    members = np.empty(starts[-1], np.int32)
-    for t in range(count):
-        for j in range(box[t, 2] // edge, box[t, 3] // edge + 1):
-            for i in range(box[t, 0] // edge, box[t, 1] // edge + 1):
-                members[fill[j * across + i]] = t
-                fill[j * across + i] += 1
-    return starts, members
 
 
 @kernel

@@ -1,7 +1,7 @@
 """Compiled kernels of the camera picture: sky, airframe and the view of the lights, tile by tile.
 
-A picture is cut into tiles. A tile is drawn by one thread from its own list of triangles, in the list's order, so that
-the picture has the same bits for any number of threads. Nothing is shared but what is read.
+A picture is cut into tiles. A row of tiles is drawn by one thread, each from its own list of triangles, in the list's
+order, so that the picture has the same bits for any number of threads. Nothing is shared but what is read.
 """
 
 from __future__ import annotations
@@ -24,6 +24,26 @@ EDGE = TILE * SS
 
 
 @kernel
+def sort_into_tiles(box: I32, count: int, across: int, down: int) -> tuple[I32, I32]:
+    """Return (starts (tiles + 1,), triangle indices by tile) for ``count`` triangles' boxes."""
+    starts = np.zeros(across * down + 1, np.int32)
+    for t in range(count):
+        for j in range(box[t, 2] // EDGE, box[t, 3] // EDGE + 1):
+            for i in range(box[t, 0] // EDGE, box[t, 1] // EDGE + 1):
+                starts[j * across + i + 1] += 1
+    for k in range(across * down):
+        starts[k + 1] += starts[k]
+    fill = starts[:-1].copy()
+    members = np.empty(starts[-1], np.int32)
+    for t in range(count):
+        for j in range(box[t, 2] // EDGE, box[t, 3] // EDGE + 1):
+            for i in range(box[t, 0] // EDGE, box[t, 1] // EDGE + 1):
+                members[fill[j * across + i]] = t
+                fill[j * across + i] += 1
+    return starts, members
+
+
+@kernel
 def draw_spheres(spheres: F64, box: I32, offset: I32, fine: I32, mask: U8, lens: F64, x0: int, y0: int,
                  depth: F32) -> None:
     """Mark in ``mask`` the samples of each sphere that are in front of the tile's depth buffer.
@@ -32,21 +52,22 @@ def draw_spheres(spheres: F64, box: I32, offset: I32, fine: I32, mask: U8, lens:
     ``fine[n]`` by ``fine[n]`` samples a pixel from ``mask[offset[n]]`` on; a ray meets a sphere where |t d - c| = r.
     ``lens`` fx fy cx cy and the tile's first pixel (x0, y0) in pixels.
     """
+    across, down = 1.0 / lens[0], 1.0 / lens[1]
     for s in range(len(spheres)):
-        k, width = fine[s], (box[s, 1] - box[s, 0] + 1) * fine[s]
+        finer, k, width = 1.0 / fine[s], fine[s], (box[s, 1] - box[s, 0] + 1) * fine[s]
         cx, cy, cz, r = spheres[s, 0], spheres[s, 1], spheres[s, 2], spheres[s, 3]
         outside = cx * cx + cy * cy + cz * cz - r * r
         for v in range(max(box[s, 2], y0) * k, (min(box[s, 3], y0 + TILE - 1) + 1) * k):
-            dy = ((v + 0.5) / k - 0.5 - lens[3]) / lens[1]
-            j = (2 * v + 1) * SS // (2 * k) - y0 * SS
+            y = (v + 0.5) * finer
+            dy, j = (y - 0.5 - lens[3]) * down, int(y * SS) - y0 * SS
             for u in range(max(box[s, 0], x0) * k, (min(box[s, 1], x0 + TILE - 1) + 1) * k):
-                dx = ((u + 0.5) / k - 0.5 - lens[2]) / lens[0]
+                x = (u + 0.5) * finer
+                dx = (x - 0.5 - lens[2]) * across
                 dd, dc = dx * dx + dy * dy + 1.0, dx * cx + dy * cy + cz
                 under = dc * dc - dd * outside
                 if under < 0.0:
                     continue
-                i = (2 * u + 1) * SS // (2 * k) - x0 * SS
-                if dd > (dc - math.sqrt(under)) * depth[j, i]:
+                if dd > (dc - math.sqrt(under)) * depth[j, int(x * SS) - x0 * SS]:
                     mask[offset[s] + (v - box[s, 2] * k) * width + u - box[s, 0] * k] = 1
 
 
@@ -144,21 +165,22 @@ def draw_airframe(members: I32, tri: F64, box: I32, x0: int, y0: int, depth: F32
 @kernel
 def draw_tiles(which: I32, starts: I32, members: I32, tri: F64, box: I32, spheres: F64, sphere_box: I32, offset: I32,
                fine: I32, mask: U8, lens: F64, sky: NDArray[np.uint64], R_ned_cam: F64, picture: U8) -> None:
-    """Draw the tiles named in ``which`` into ``picture`` (h, w, 3), without markers, and fill the spheres' ``mask``."""
+    """Draw the rows of tiles in ``which`` into ``picture`` (h, w, 3), without markers; fill the spheres' ``mask``."""
     h, w, _ = picture.shape
     across = (w + TILE - 1) // TILE
     depth = np.zeros((EDGE, EDGE), np.float32)
     ident = np.empty((EDGE, EDGE), np.int32)
-    texels, coarse = np.empty((3, TILE // 2 + 1), np.int32), np.empty((TILE // 2 + 1, 3 * TILE + 6), np.uint16)
+    texels, coarse = np.empty((3, w // 2 + 1), np.int32), np.empty((TILE // 2 + 1, 6 * (w // 2 + 1)), np.uint16)
     lines, touched = picture.reshape(h, 3 * w), np.empty(4, np.int32)
-    for tile in which:
-        draw_sky(sky, R_ned_cam, lens, (tile % across) * TILE, (tile // across) * TILE, texels, coarse, lines)
-    for tile in which:
-        x0, y0 = (tile % across) * TILE, (tile // across) * TILE
-        mine = members[starts[tile] : starts[tile + 1]]
-        if len(mine) > 0:
-            draw_airframe(mine, tri, box, x0, y0, depth, ident, touched)
-            resolve_tile(tri, ident, x0, y0, touched, picture)
-        draw_spheres(spheres, sphere_box, offset, fine, mask, lens, x0, y0, depth)
-        if len(mine) > 0:
-            depth[touched[2] * SS : (touched[3] + 1) * SS] = 0.0
+    for row in which:
+        y0 = row * TILE
+        draw_sky(sky, R_ned_cam, lens, texels, coarse, y0, lines[y0 : y0 + TILE])
+        for column in range(across):
+            x0, tile = column * TILE, row * across + column
+            mine = members[starts[tile] : starts[tile + 1]]
+            if len(mine) > 0:
+                draw_airframe(mine, tri, box, x0, y0, depth, ident, touched)
+                resolve_tile(tri, ident, x0, y0, touched, picture)
+            draw_spheres(spheres, sphere_box, offset, fine, mask, lens, x0, y0, depth)
+            if len(mine) > 0:
+                depth[touched[2] * SS : (touched[3] + 1) * SS] = 0.0
