@@ -1,4 +1,4 @@
-"""One table of stages: how often each runs and how long it may take. Runtime and review read it, nobody copies it."""
+"""One table of stages and how long each may take; the result table shows it beside what was measured."""
 
 from __future__ import annotations
 

@@ -173,6 +173,8 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     join_settle_s: float = 3.0
     join_tolerance_m: float = 2.5
     off_path_m: float = 10.0
+    join_range_m: float = 150.0
+    max_closure_m_s: float = 2.0
     estimate_stale_s: float = 0.3
     breakaway_stale_s: float = 1.0
     capture_s: float = 2.0
@@ -180,6 +182,7 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     max_pitch_offset_rad: float = 0.12
     breakaway_descent_rad: float = 0.05
     breakaway_thrust: float = 0.05
+    breakaway_separation_m: float = 60.0
 
 
 class LinksConfig(Struct, frozen=True, kw_only=True):
@@ -365,7 +368,7 @@ def assemble(config: CompanionConfig, path: Path) -> Setup:
     for file, rules in (
         (path, companion_rules(config)),
         (folder / config.camera, camera_rules(setup.camera)),
-        (folder / config.tanker, tanker_rules(setup.tanker)),
+        (folder / config.tanker, [*tanker_rules(setup.tanker), enough_markers(config, setup.tanker)]),
         (folder / config.airframe, airframe_rules(setup.airframe)),
     ):
         for holds, text in rules:
@@ -377,6 +380,12 @@ def assemble(config: CompanionConfig, path: Path) -> Setup:
 
 Rules = list[tuple[bool, str]]
 """What has to hold of values that are of the right type, and what to say when it does not."""
+
+
+def enough_markers(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
+    """Return that the tanker has as many lights as a pose is asked to have."""
+    most = max(c.vision.min_markers, c.fusion.min_markers)
+    return most <= len(t.markers), f"min_markers {most}, and the tanker has {len(t.markers)} markers"
 
 
 def camera_rules(c: CameraConfig) -> Rules:
@@ -430,6 +439,18 @@ def companion_rules(c: CompanionConfig) -> Rules:
          "fusion: vision_stale_s, own_stale_s and tanker_stale_s must be positive seconds"),
         (10 <= g.rate_hz <= 200, "guidance.rate_hz must be in 10..200 hertz"),
         (g.path_duration_s > 0, "guidance.path_duration_s must be positive seconds"),
+        (g.max_closure_m_s > 0, "guidance.max_closure_m_s must be positive metres per second"),
+        (min(g.join_range_m, g.off_path_m, g.breakaway_separation_m) > 0,
+         "guidance: join_range_m, off_path_m and breakaway_separation_m must be positive metres"),
+        (min(msgspec.structs.astuple(g.weights)) >= 0, "guidance.weights must not be negative"),
+        (min(g.weights.roll, g.weights.pitch, g.weights.thrust) > 0,
+         "guidance.weights: roll, pitch and thrust must be positive"),
+        (c.vision.tol > 0 and c.vision.epsilon > 0, "vision: tol and epsilon must be positive"),
+        (min(c.vision.max_label_distance_px, c.vision.max_image_error_px) > 0,
+         "vision: max_label_distance_px and max_image_error_px must be positive pixels"),
+        (c.vision.glsdc_iterations >= 1, "vision.glsdc_iterations must be at least 1"),
+        (c.vision.detection.morphology_px >= 0, "vision.detection.morphology_px must not be negative"),
+        (c.vision.detection.max_detections >= 4, "vision.detection.max_detections must be at least 4"),
         (0 < g.estimate_stale_s <= 1, "guidance.estimate_stale_s must be in 0..1 seconds"),
         (g.estimate_stale_s <= g.breakaway_stale_s <= 10,
          "guidance.breakaway_stale_s must be in estimate_stale_s..10 seconds"),

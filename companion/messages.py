@@ -169,17 +169,14 @@ class RelativeState:
     """Where the receiver is relative to the box, at one instant; what guidance flies on.
 
     ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) the difference of the two centres'
-    inertial velocities (so that neither aircraft's rotation looks like speed). ``a_mrf_tanker_m_s2`` (3,)
-    acceleration of the tanker. ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the last fused
-    measurement.
+    inertial velocities (so that neither aircraft's rotation looks like speed).
+    ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the oldest sample that the estimate rests on.
     """
 
     t_ns: int
     estimate_t_ns: int
     p_mrf_br_m: Vec
     v_mrf_br_m_s: Vec
-    a_mrf_tanker_m_s2: Vec
-    v_mrf_own_m_s: Vec
     R_ned_frd: Mat
     omega_frd_rad_s: Vec
     heading0_rad: float

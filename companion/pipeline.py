@@ -1,6 +1,6 @@
 """The core on one page: events in, outputs out; no input, output or clock.
 
-``handle`` takes one event and returns what follows from it, in order. Live service, lockstep simulation and replay call
+``handle`` takes one event and returns what follows from it, in order. Live service and lockstep simulation call
 the same method with the same events. ``mark`` is told the name of each stage as it ends; a driver that owns a clock
 turns that into latencies.
 """
@@ -82,7 +82,8 @@ class Pipeline:
         fault = self._standstill(frame)
         if fault:
             return [Reject(frame.t_ns, "camera", fault)]
-        prior = self.blend.prior(frame.t_ns)
+        # Simulated vision projects what GPS says: its own answer as prior would feed on itself (thesis 4.2.5, 7.3).
+        prior = self.blend.prior(frame.t_ns) if self._looks else self.blend.gps_prior(frame.t_ns)
         if prior is None:
             return [Reject(frame.t_ns, "vision", "no_prior")]
         seen = self.vision.process(frame, prior)

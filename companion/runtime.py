@@ -1,7 +1,7 @@
 """Drivers of the core: one step that every driver shares, and the live loop.
 
-``Service.dispatch`` passes an event through the pipeline, sends what comes out, records both and measures. Lockstep and
-replay call it with their own clock; ``run_live`` calls it from sources that arrive when they like.
+``Service.dispatch`` passes an event through the pipeline, sends what comes out, records both and measures. Lockstep
+calls it with its own clock; ``run_live`` calls it from sources that arrive when they like.
 """
 
 from __future__ import annotations
@@ -10,7 +10,19 @@ import time
 from collections.abc import Callable, Sequence
 
 from companion.config import Setup
-from companion.messages import NS, CameraFrame, Event, Output, Phase, PhaseChange, Reject, RelativeState, Setpoint, Tick
+from companion.messages import (
+    NS,
+    CameraFrame,
+    Event,
+    FusedPose,
+    Output,
+    Phase,
+    PhaseChange,
+    Reject,
+    RelativeState,
+    Setpoint,
+    Tick,
+)
 from companion.pipeline import Pipeline
 from companion.ports import Clock, EventSource, Recorder, SetpointSink
 
@@ -79,10 +91,8 @@ class Service:
     def dispatch(self, event: Event) -> list[Output]:
         """Pass one event through, send, record, measure; return the outputs."""
         self._t_ns = self._clock.now_ns()
-        self._recorder.event(event)
         if isinstance(event, CameraFrame):
             self._recorder.latency(self._t_ns, "transport", self._t_ns - event.t_ns)
-            self._pending_exposure_ns = event.t_ns
         self._stage_start_ns = time.perf_counter_ns()
         outputs = self.pipeline.handle(event)
         for output in outputs:
@@ -90,9 +100,12 @@ class Service:
                 self._send(output)
             elif isinstance(output, RelativeState):
                 self.latest = output
+            elif isinstance(output, FusedPose) and output.markers_used:
+                self._pending_exposure_ns = output.t_ns
             elif isinstance(output, PhaseChange):
                 self.phase_since_ns = output.t_ns
-        for output in outputs:  # after the setpoint has left: recording never delays it
+        self._recorder.event(event)  # after the setpoint has left: recording never delays it
+        for output in outputs:
             self._recorder.output(output)
             if self._watch is not None:
                 self._watch(output)

@@ -136,12 +136,3 @@ class MotionHistory(History[Motion]):
         v = a.v_ned_m_s if at.after is None else (1.0 - at.s) * a.v_ned_m_s + at.s * at.after.v_ned_m_s
         step = 0.5 * at.dt_s * (a.v_ned_m_s + v)
         return Motion(a.p_ned_m + step, v, a.travel_m + step)
-
-    def acceleration(self, window_s: float) -> Vec:
-        """Return the mean acceleration (3,) over the newest ``window_s`` seconds; zero with fewer than two samples."""
-        stamps = self._t_ns
-        if len(stamps) < 2:
-            return np.zeros(3)
-        k = min(bisect_right(stamps, stamps[-1] - int(window_s / NS)), len(stamps) - 2)
-        dt = (stamps[-1] - stamps[k]) * NS
-        return (self._samples[-1].v_ned_m_s - self._samples[k].v_ned_m_s) / dt

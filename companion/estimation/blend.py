@@ -114,6 +114,11 @@ class Blend:
         a = self.align(t_ns)
         return None if a is None else self.T_cam_tanker_of(a, self.relative_position(a)[0])
 
+    def gps_prior(self, t_ns: int) -> SE3 | None:
+        """Return ``T_cam_tanker`` at an exposure by GPS and INU alone."""
+        a = self.align(t_ns)
+        return None if a is None else self.T_cam_tanker_of(a, a.own.p_ned_m - a.tanker.p_ned_m)
+
     def update(self, t_ns: int, pose: PoseMeasurement | None) -> FusedPose | None:
         """Blend at the instant of an exposure (eq. 3.9); None when the aircraft cannot be aligned at it.
 

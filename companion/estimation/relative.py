@@ -9,15 +9,17 @@ receiver's own roll rate at a receptacle one metre above its axis closes a loop 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from companion.config import AirframeConfig, TankerConfig
 from companion.estimation.blend import Aligned, Blend
 from companion.geometry import Mat, Vec, rotation_from_euler
-from companion.messages import RelativeState
+from companion.messages import NS, RelativeState
 
-HEADING_GAIN = 0.002  # per guidance step: the nominal heading follows the course over about ten seconds
-ACCELERATION_WINDOW_S = 0.25
+HEADING_S = 10.0
+"""Time constant with which the nominal heading follows the tanker's course."""
 
 
 class RelativeEstimator:
@@ -28,6 +30,7 @@ class RelativeEstimator:
         self._box_tanker_m = np.array(tanker.box_tanker_m)
         self._receptacle_frd_m = np.array(airframe.receptacle_frd_m)
         self._course: Vec | None = None
+        self._course_ns = 0
 
     def at(self, t_ns: int) -> RelativeState | None:
         """Return the relative state at an instant, or None when a source is missing or stale."""
@@ -46,8 +49,6 @@ class RelativeEstimator:
             estimate_t_ns=self._blend.estimate_ns(anchor),
             p_mrf_br_m=R_mrf_ned @ p_ned_br,
             v_mrf_br_m_s=R_mrf_ned @ v_ned,
-            a_mrf_tanker_m_s2=R_mrf_ned @ self._blend.tanker_motion.acceleration(ACCELERATION_WINDOW_S),
-            v_mrf_own_m_s=R_mrf_ned @ a.own.v_ned_m_s,
             R_ned_frd=R_ned_frd,
             omega_frd_rad_s=omega,
             heading0_rad=heading0,
@@ -62,6 +63,11 @@ class RelativeEstimator:
         speed = float(np.hypot(course[0], course[1]))
         # A tanker that stands still has no course; on a bench its nose serves.
         course = course / speed if speed > 1.0 else a.tanker_attitude.R_ned_body[:2, 0]
-        self._course = course if self._course is None else self._course + HEADING_GAIN * (course - self._course)
+        if self._course is None:
+            self._course = course
+        else:
+            share = 1.0 - math.exp(-max(0, a.t_ns - self._course_ns) * NS / HEADING_S)
+            self._course = self._course + share * (course - self._course)
+        self._course_ns = a.t_ns
         heading0 = float(np.arctan2(self._course[1], self._course[0]))
         return heading0, rotation_from_euler(heading0, 0.0, 0.0).T

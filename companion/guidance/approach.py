@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion.config import AirframeConfig, GuidanceConfig, WindowConfig
-from companion.geometry import euler_from_rotation
+from companion.geometry import Vec, euler_from_rotation
 from companion.guidance.guard import Envelope, guard
 from companion.guidance.law import DockingLaw
 from companion.guidance.modes import Limits, PhaseMachine, Situation
@@ -19,6 +19,7 @@ from companion.messages import (
     Output,
     Phase,
     PhaseChange,
+    Reject,
     RelativeState,
     Setpoint,
 )
@@ -60,12 +61,10 @@ class Approach:
         self._status = status
 
     def command_event(self, command: Command) -> None:
-        """Take an operator's command; it is looked at in the next step."""
-        self._command = command
-        if command is Command.ENGAGE:
-            self._engaged = True
-        else:
-            self._engaged = False  # after a breakaway or a clear the operator engages again
+        """Take an operator's command; it is looked at in the next step. Nothing overtakes a breakaway."""
+        if self._command is not Command.BREAKAWAY:
+            self._command = command
+            self._engaged = command is Command.ENGAGE
 
     def step(self, t_ns: int, state: RelativeState | None) -> list[Output]:
         """Run one step; at most one Setpoint is among the outputs."""
@@ -77,8 +76,12 @@ class Approach:
         if change is not None:
             outputs.append(change)
             self._enter(change, state)
+        if state is None or not self._fresh(t_ns, state):
+            self._settled_since = self._captured_since = None
         if self.phase is Phase.STANDBY or state is None:
             return outputs
+        if not self._fresh(t_ns, state):
+            return [*outputs, Reject(t_ns, "guard", "estimate_stale")]
         age_s = (t_ns - state.estimate_t_ns) * NS
         reference = self._reference(t_ns)
         sent = guard(self._wanted(t_ns, state, reference), age_s, self._envelope)
@@ -89,9 +92,13 @@ class Approach:
         outputs.append(sent)
         return outputs
 
+    def _fresh(self, t_ns: int, state: RelativeState) -> bool:
+        return (t_ns - state.estimate_t_ns) * NS <= self._config.estimate_stale_s
+
     def _situation(self, t_ns: int, state: RelativeState | None) -> Situation:
         s = self._status
-        guided = s is not None and s.mode is AutopilotMode.GUIDED and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
+        heard = s is not None and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
+        guided = heard and s is not None and s.armed and s.mode is AutopilotMode.GUIDED
         age_s = None if self._estimate_ns is None else (t_ns - self._estimate_ns) * NS
         if state is None:  # nothing to engage on: a join begins at a known place
             return Situation(age_s, guided, engaged=False, command=self._command)
@@ -106,7 +113,14 @@ class Approach:
             captured_s=_since(t_ns, self._captured_since),
             inside_limit=bool(np.all(np.abs(state.p_mrf_br_m) <= self._limit_m)),
             tracking_ok=bool(np.sqrt(error @ error) <= self._config.off_path_m),
+            in_corridor=self._in_corridor(state.p_mrf_br_m),
         )
+
+    def _in_corridor(self, p_mrf_br_m: Vec) -> bool:
+        """Tell whether the straight way to the box is free of the tanker: not ahead of, not above the limit window."""
+        x, _, z = p_mrf_br_m.tolist()
+        near = float(np.sqrt(p_mrf_br_m @ p_mrf_br_m)) <= self._config.join_range_m
+        return near and x <= self._limit_m[0] and z >= -self._limit_m[2]
 
     def _enter(self, change: PhaseChange, state: RelativeState | None) -> None:
         self._settled_since = self._captured_since = None
@@ -114,10 +128,14 @@ class Approach:
             self._law.reset()
             self._station = station(state.p_mrf_br_m)
         elif change.new is Phase.APPROACH:
-            self._path = CubicPath(change.t_ns, self._station.p_m, np.zeros(3), self._config.path_duration_s)
+            start = self._station.p_m
+            fastest_s = 1.5 * float(np.sqrt(start @ start)) / self._config.max_closure_m_s  # a cubic peaks at 1.5 means
+            duration_s = max(self._config.path_duration_s, fastest_s)
+            self._path = CubicPath(change.t_ns, start, np.zeros(3), duration_s)
         elif change.new in (Phase.STANDBY, Phase.BREAKAWAY):
             self._path = None
             self._station = station(np.zeros(3))
+            self._engaged = False
 
     def _reference(self, t_ns: int) -> Reference:
         return self._station if self._path is None else self._path.at(t_ns)
@@ -126,8 +144,10 @@ class Approach:
         if self.phase is not Phase.BREAKAWAY:
             return self._law.step(state, reference)
         yaw, _, _ = euler_from_rotation(state.R_ned_frd)
-        pitch = self._airframe.trim.alpha_rad - self._config.breakaway_descent_rad
-        return Setpoint(t_ns, 0.0, pitch, yaw, self._config.breakaway_thrust)
+        trim, c = self._airframe.trim, self._config
+        if float(np.sqrt(state.p_mrf_br_m @ state.p_mrf_br_m)) > c.breakaway_separation_m:
+            return Setpoint(t_ns, 0.0, trim.alpha_rad, yaw, trim.throttle)  # clear of the tanker: level off
+        return Setpoint(t_ns, 0.0, trim.alpha_rad - c.breakaway_descent_rad, yaw, c.breakaway_thrust)
 
     def _watch(self, t_ns: int, state: RelativeState, reference: Reference) -> None:
         """Keep since when the receiver has held its station, and since when it has been inside the desired window."""

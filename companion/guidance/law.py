@@ -27,7 +27,7 @@ import control
 import numpy as np
 from scipy.linalg import expm
 
-from companion.config import AirframeConfig, GuidanceConfig
+from companion.config import AirframeConfig, ConfigError, GuidanceConfig
 from companion.geometry import Mat, Vec, euler_from_rotation
 from companion.guidance.path import Reference
 from companion.messages import RelativeState, Setpoint
@@ -77,7 +77,11 @@ def regulator(A: Mat, B: Mat, state_weights: Vec, input_weights: Vec, dt_s: floa
     Q = np.zeros_like(Ad)
     n = len(state_weights)
     Q[:n, :n] = np.diag(state_weights)
-    K, _, poles = control.dlqr(Ad, Bd, Q, np.diag(input_weights))
+    try:
+        K, _, poles = control.dlqr(Ad, Bd, Q, np.diag(input_weights))
+    except np.linalg.LinAlgError as error:
+        msg = f"guidance.weights: no docking law for this airframe with them ({error}); see its A, B and response"
+        raise ConfigError(msg) from None
     return Regulator(np.asarray(K), steps, B.shape[1], np.asarray(poles))
 
 
@@ -118,13 +122,17 @@ class _Channel:
         self._low, self._high = low, high
         self._sent = np.zeros(regulator.delay_steps * regulator.inputs)
 
-    def step(self, x: Vec) -> tuple[Vec, Vec, bool]:
-        """Return the command (deviation from trim) inside its limits, the one that acts now, and if it was cut."""
+    def step(self, x: Vec) -> tuple[Vec, Vec, Vec]:
+        """Return the command (deviation from trim) inside its limits, the one that acts now, and what was cut off."""
         u = -self._r.K @ np.concatenate([x, self._sent])
         command = np.clip(u, self._low, self._high)
         queue = np.concatenate([self._sent, command])
         acting, self._sent = queue[: self._r.inputs], queue[self._r.inputs :]
-        return command, acting, bool(np.any(command != u))
+        return command, acting, u - command
+
+    def pushes(self, column: int, row: int, cut: Vec, error: float) -> bool:
+        """Tell whether an error, integrated in state ``column``, would drive input ``row`` further into its limit."""
+        return bool(-self._r.K[row, column] * error * cut[row] > 0.0)
 
 
 class DockingLaw:
@@ -163,13 +171,17 @@ class DockingLaw:
         lat = np.array([e[1], v[1], roll, p, i[1]])
         (d_pitch, d_thrust), acting, lon_cut = self._lon_channel.step(lon)
         (roll_cmd,), _, lat_cut = self._lat_channel.step(lat)
-        self._advance(e, float(acting[1]), lon_cut, lat_cut)
+        held = (
+            self._lon_channel.pushes(7, 1, lon_cut, e[0]),
+            self._lat_channel.pushes(4, 0, lat_cut, e[1]),
+            self._lon_channel.pushes(8, 0, lon_cut, e[2]),
+        )
+        self.integral_m_s = self.integral_m_s + np.where(held, 0.0, e * self._dt)
+        self._follow(float(acting[1]))
         return Setpoint(
             state.t_ns, float(roll_cmd), trim.alpha_rad + float(d_pitch), yaw, trim.throttle + float(d_thrust)
         )
 
-    def _advance(self, e: Vec, acting_thrust: float, lon_cut: bool, lat_cut: bool) -> None:
-        free = np.array([not lon_cut, not lat_cut, not lon_cut], dtype=np.float64)
-        self.integral_m_s = self.integral_m_s + free * e * self._dt
+    def _follow(self, acting_thrust: float) -> None:
         follow = 1.0 - np.exp(-self._dt / self._airframe.response.thrust_lag_s)
         self._thrust += (acting_thrust - self._thrust) * follow

@@ -4,7 +4,8 @@ Rules
 -----
 * ``TABLE`` is all there is: from a phase, the first row whose condition holds moves the machine. A phase that has no
   row for what happened stays where it is.
-* Breakaway is latched: only an operator's CLEAR leaves it, to standby.
+* Breakaway is latched: only an operator leaves it, by CLEAR or by taking the autopilot out of guided, to standby.
+* Whoever comes back to standby is engaged again by an operator only.
 * ``README`` draws its diagram from this table (``diagram``).
 """
 
@@ -18,7 +19,7 @@ from companion.messages import Command, Phase, PhaseChange
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What the table's conditions look at, at one guidance step."""
+    """What the table's conditions look at, at one guidance step; ``guided``: armed, and following our setpoints."""
 
     estimate_age_s: float | None
     guided: bool
@@ -29,6 +30,7 @@ class Situation:
     captured_s: float = 0.0
     inside_limit: bool = True
     tracking_ok: bool = True
+    in_corridor: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,18 +91,19 @@ def _breakaway_rows(old: Phase, *more: tuple[str, Condition]) -> tuple[Row, ...]
 
 
 TABLE: tuple[Row, ...] = (
-    Row(Phase.STANDBY, Phase.JOIN, "engaged, estimate fresh, autopilot guided",
-        lambda s, m: s.engaged and s.guided and _fresh(s, m)),
+    Row(Phase.STANDBY, Phase.JOIN, "engaged behind and below, estimate fresh, autopilot armed and guided",
+        lambda s, m: s.engaged and s.guided and s.in_corridor and _fresh(s, m)),
     *_breakaway_rows(Phase.JOIN, ("far off the station", _off_path)),
     Row(Phase.JOIN, Phase.STANDBY, "autopilot left guided", _not_guided),
-    Row(Phase.JOIN, Phase.APPROACH, "station held", lambda s, m: s.settled_s >= m.join_settle_s),
+    Row(Phase.JOIN, Phase.APPROACH, "station held", lambda s, m: _fresh(s, m) and s.settled_s >= m.join_settle_s),
     *_breakaway_rows(Phase.APPROACH, ("far off the path", _off_path)),
     Row(Phase.APPROACH, Phase.STANDBY, "autopilot left guided", _not_guided),
     Row(Phase.APPROACH, Phase.HOLD, "inside the desired window",
-        lambda s, m: s.path_done and s.captured_s >= m.capture_s),
+        lambda s, m: _fresh(s, m) and s.path_done and s.captured_s >= m.capture_s),
     *_breakaway_rows(Phase.HOLD, ("outside the limit window", _left_limit)),
     Row(Phase.HOLD, Phase.STANDBY, "autopilot left guided", _not_guided),
     Row(Phase.BREAKAWAY, Phase.STANDBY, "operator's clear", lambda s, m: s.command is Command.CLEAR),
+    Row(Phase.BREAKAWAY, Phase.STANDBY, "autopilot left guided", _not_guided),
 )
 
 

@@ -22,6 +22,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from companion.budgets import BUDGETS
 from companion.config import Setup, WindowConfig
 from companion.messages import NS, FusedPose, Output, Phase, PhaseChange, Reject, RelativeState, Setpoint, VisionOutput
 
@@ -218,9 +219,11 @@ def _statistics_table(summary: dict[str, Any]) -> Table:
 
 
 def _latency_table(latency_ms: dict[str, dict[str, float]]) -> Table:
-    table = Table("stage", "p50", "p99", "max", title="Latency, ms", title_justify="left")
+    table = Table("stage", "p50", "p99", "max", "budget p99", "what", title="Latency, ms", title_justify="left")
     for stage, q in latency_ms.items():
-        table.add_row(stage, *(f"{q[key]:.3f}" for key in ("p50", "p99", "max")))
+        budget = BUDGETS.get(stage)
+        allowed = ("-", "") if budget is None else (f"{budget.p99_ms:.0f}", budget.what)
+        table.add_row(stage, *(f"{q[key]:.3f}" for key in ("p50", "p99", "max")), *allowed)
     return table
 
 

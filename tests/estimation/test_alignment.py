@@ -76,10 +76,6 @@ def test_history_stays_bounded():
     assert len(h._samples) < 200
 
 
-def test_acceleration_of_a_constant_acceleration():
-    assert np.allclose(filled().acceleration(0.25), [0.5, -0.3, 0.8], atol=1e-9)
-
-
 @given(st.floats(min_value=0.0, max_value=1.05), st.floats(min_value=-1.0, max_value=1.0))
 def test_attitude_of_a_constant_rate_turn(t_s, rate):
     omega = np.array([rate, -0.5 * rate, 0.25])

@@ -7,6 +7,7 @@ from functools import cache
 
 import msgspec
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,8 +51,8 @@ def new_approach(**changed):
 def state_at(t_ns, p_m=STATION_M, age_s=0.0, v_m_s=(0.0, 0.0, 0.0)):
     pitch = shipped().airframe.trim.alpha_rad
     return RelativeState(
-        t_ns, t_ns - round(age_s * S), np.array(p_m, float), np.array(v_m_s, float), np.zeros(3),
-        np.array([206.0, 0.0, 0.0]), rotation_from_euler(0.1, pitch, 0.02), np.zeros(3), 0.0, SE3.identity(), 20.0,
+        t_ns, t_ns - round(age_s * S), np.array(p_m, float), np.array(v_m_s, float),
+        rotation_from_euler(0.1, pitch, 0.02), np.zeros(3), 0.0, SE3.identity(), 20.0,
         1.0, 9,
     )
 
@@ -133,7 +134,8 @@ def test_whatever_the_estimate_does(sequence):
             assert abs(s.yaw_rad) <= math.pi
             assert 0.0 <= s.thrust <= 1.0
             if before is Phase.BREAKAWAY and loop.approach.phase is Phase.BREAKAWAY:
-                assert (s.roll_rad, s.thrust) == (0.0, config.breakaway_thrust)
+                clear = np.linalg.norm(state.p_mrf_br_m) > config.breakaway_separation_m
+                assert (s.roll_rad, s.thrust) == (0.0, trim.throttle if clear else config.breakaway_thrust)
 
 
 def test_the_way_to_hold_and_a_setpoint_in_every_step_of_it():
@@ -250,3 +252,60 @@ def test_a_silent_heartbeat_or_another_mode_ends_the_setpoints():
         sent_ns += [s.t_ns for s in kinds(loop.step(state_at(loop.t_ns), None), Setpoint)]
     assert loop.approach.phase is Phase.STANDBY
     assert HEARTBEAT_STALE_S - 0.1 < (max(sent_ns) - begin_ns) * 1e-9 < HEARTBEAT_STALE_S
+
+
+@pytest.mark.parametrize("overtaking", [Command.ENGAGE, Command.CLEAR])
+def test_nothing_overtakes_a_breakaway(overtaking):
+    loop = Loop()
+    loop.hold_still(1.0)
+    loop.approach.command_event(Command.BREAKAWAY)
+    loop.approach.command_event(overtaking)
+    loop.hold_still(0.02)
+    assert loop.approach.phase is Phase.BREAKAWAY
+
+
+@pytest.mark.parametrize("p_m", [[30.0, 0.0, 20.0], [-20.0, 0.0, -10.0], [-1900.0, 0.0, 30.0]])
+def test_no_join_from_ahead_above_or_far_away(p_m):
+    loop = Loop()
+    assert loop.hold_still(1.0, np.array(p_m)) == []
+    assert loop.approach.phase is Phase.STANDBY
+
+
+def test_no_join_while_the_autopilot_is_disarmed():
+    loop = Loop()
+    for _ in range(50):
+        loop.approach.status_event(AutopilotStatus(loop.t_ns, AutopilotMode.GUIDED, armed=False))
+        assert loop.step(state_at(loop.t_ns), None) == []
+
+
+def test_time_without_an_estimate_does_not_count_as_time_on_station():
+    loop = Loop(join_settle_s=1.0)
+    loop.hold_still(0.6)
+    for _ in range(40):
+        loop.step(None)
+    loop.hold_still(0.6)
+    assert loop.approach.phase is Phase.JOIN
+    loop.hold_still(0.6)
+    assert loop.approach.phase is Phase.APPROACH
+
+
+def test_a_long_way_takes_longer_than_the_path_time():
+    loop = Loop(max_closure_m_s=1.0)
+    p, references = np.array([-60.0, 0.0, 20.0]), []
+    for _ in range(round(110.0 * S / DT_NS)):
+        for g in kinds(loop.step(state_at(loop.t_ns, p)), GuidanceOutput):
+            p = g.reference_mrf_m
+            references.append(p)
+    speeds = np.linalg.norm(np.diff(references, axis=0), axis=1) / (DT_NS / S)
+    assert loop.approach.phase is Phase.HOLD
+    assert 0.99 < speeds.max() <= 1.0 + 1e-6
+
+
+def test_a_pilot_who_takes_over_ends_a_breakaway_and_the_engagement():
+    loop = Loop()
+    loop.hold_still(1.0)
+    loop.approach.command_event(Command.BREAKAWAY)
+    loop.hold_still(0.1)
+    loop.step(state_at(loop.t_ns), AutopilotMode.MANUAL)
+    assert loop.approach.phase is Phase.STANDBY
+    assert loop.hold_still(1.0) == []
