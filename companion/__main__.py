@@ -7,6 +7,7 @@ interrupted before the service had begun.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +19,14 @@ from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
 from companion.config import CompanionConfig, ConfigError, assemble, load
 from companion.io.recorder import newest_run
 from companion.io.rerun_view import open_viewer, screenshot
+
+
+def seconds(text: str) -> float:
+    """Parse a positive time."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise ValueError(text)
+    return value
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,8 +44,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--out", metavar="DIR", help="folder for recordings")
     run.add_argument("--run-dir", metavar="DIR", help=argparse.SUPPRESS)
     run.add_argument("--t0-ns", type=int, help=argparse.SUPPRESS)
-    run.add_argument("--stop-after-hold", type=float, metavar="S", help="end after so many seconds of hold")
-    run.add_argument("--stop-after-breakaway", type=float, metavar="S", help="end so many seconds after a breakaway")
+    run.add_argument("--stop-after-hold", type=seconds, metavar="S", help="end after so many seconds of hold")
+    run.add_argument("--stop-after-breakaway", type=seconds, metavar="S", help="end so many seconds after a breakaway")
     run.set_defaults(action=_run)
 
     view = commands.add_parser("view", help="open a recording in the Rerun viewer")

@@ -25,10 +25,10 @@ from companion.io.datalink import SerialDatalink
 from companion.io.mavlink import MavlinkUdp, OnBytes
 from companion.io.recorder import RunRecorder, create_run_folder
 from companion.messages import CameraFrame, Output, Phase, PhaseChange, Reject
+from companion.pipeline import Pipeline
 from companion.ports import Clock
 from companion.runtime import Service, Watched, in_phase_s, run_live
 from companion.vision.camera import project
-from companion.vision.chain import VisionChain
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,10 @@ class RunOptions:
 def warm_up(setup: Setup) -> None:
     """Compile what numba compiles and load what loads late, before the first picture counts.
 
-    A picture of red squares where the markers of a tanker straight ahead would be goes through the whole chain.
+    A picture of red squares where the markers of a tanker straight ahead would be goes through the whole chain. Raises
+    ConfigError for a configuration that no pipeline can be built of.
     """
-    chain = VisionChain(setup.camera, setup.tanker, setup.config.vision)
+    chain = Pipeline(setup).vision
     image = np.zeros((setup.camera.height_px, setup.camera.width_px, 3), dtype=np.uint8)
     ahead = SE3(R_cam_crf, np.array([0.0, 0.0, 60.0]))
     for u, v in project(setup.camera, ahead, chain.markers).round():
@@ -116,8 +117,8 @@ def run(setup: Setup, options: RunOptions) -> int:
 
         # Links first: one that cannot be had leaves no empty recording behind.
         autopilot, sources = open_links(setup, clock, on_bytes, stack)
-        recorder = stack.enter_context(RunRecorder(open_folder(setup, options), setup, t0_ns=t0_ns))
         warm_up(setup)
+        recorder = stack.enter_context(RunRecorder(open_folder(setup, options), setup, t0_ns=t0_ns))
         console = stack.enter_context(FlightConsole(setup, t0_ns=t0_ns))
 
         def watch(output: Output) -> None:

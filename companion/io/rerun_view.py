@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import socket
 import subprocess
 import sys
@@ -103,7 +104,7 @@ def open_viewer(run_dir: Path | str) -> int:
     """
     files = [str(f) for f in recordings(run_dir)]
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        web = f"rerun --bind {LOOPBACK} --web-viewer {' '.join(files)}"
+        web = shlex.join([viewer_binary(), "--bind", LOOPBACK, "--web-viewer", *files])
         msg = f"no display for the viewer; in a browser instead: {web}"
         raise ConfigError(msg)
     command = [viewer_binary(), "--bind", LOOPBACK, "--port", "auto", *files]
