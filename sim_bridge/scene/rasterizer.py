@@ -145,7 +145,7 @@ def set_up_triangles(xyz: F64, rgb: F64, triangles: I32, lens: F64, size: I32, s
     ``lens`` fx fy cx cy in samples; ``screen`` (n, 3) is work space.
     """
     project_vertices(xyz, lens, screen)
-    count = 0
+    count = np.int64(0)  # a bare zero would have put_triangle compiled for it and once more
     corner, space, poly = np.empty((6, 3)), np.empty((3, 6)), np.ones((4, 6))
     for t in range(len(triangles)):
         a, b, c = triangles[t, 2], triangles[t, 1], triangles[t, 0]
@@ -169,7 +169,7 @@ def set_up_triangles(xyz: F64, rgb: F64, triangles: I32, lens: F64, size: I32, s
                 for n in range(6):
                     corner[n, 0], corner[n, 1], corner[n, 2] = poly[0, n], poly[k, n], poly[k + 1, n]
                 count += put_triangle(corner, size, tri, box, count)
-    return count
+    return int(count)
 
 
 @kernel
