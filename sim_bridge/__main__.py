@@ -1,7 +1,7 @@
 """Command line of the simulator.
 
-Exit codes: 0 docked and held, 2 bad input (one line on stderr says what to mend), 3 ended safely without docking,
-130 interrupted.
+Exit codes: 0 docked and held, 1 the simulated plant failed, 2 bad input (one line on stderr says what to mend), 3 ended
+safely without docking, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.serve import serve
 from sim_bridge.sitl import fly_sitl
 
-DOCKED, NOT_DOCKED = 0, 3
+DOCKED, PLANT_FAILED, NOT_DOCKED = 0, 1, 3
 
 
 def parser() -> argparse.ArgumentParser:
@@ -115,6 +115,11 @@ def _sitl(a: argparse.Namespace) -> int:
 def _told(flown: Flown, setup: Setup) -> int:
     print(result_table(flown.summary, setup.tanker.window))
     print(f"recording: {flown.folder}   (look at it: make view)")
+    if flown.summary["interrupted"]:
+        return INTERRUPTED
+    if flown.summary["plant_failure"]:
+        print(f"sim-bridge: plant failed: {flown.summary['plant_failure']}", file=sys.stderr)
+        return PLANT_FAILED
     return DOCKED if flown.summary["docked"] else NOT_DOCKED
 
 
@@ -136,7 +141,7 @@ def _serve(a: argparse.Namespace) -> int:
     )
     print(f"served {served.flown_s:.1f} s, {served.late_steps} steps late"
           + (f", plant failed: {served.plant_failure}" if served.plant_failure else ""))
-    return DOCKED
+    return PLANT_FAILED if served.plant_failure else DOCKED
 
 
 def _linearize(a: argparse.Namespace) -> int:

@@ -100,8 +100,8 @@ class Flown:
 def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None = None) -> Flown:
     """Fly a scenario in lockstep and record it; ``watch`` sees every output of the companion.
 
-    Raises ConfigError and PlantError before the flight only: a plant that fails in flight ends it, and the summary says
-    so.
+    Raises ConfigError and PlantError before the flight only: a plant that fails in flight ends it, and so does Ctrl-C;
+    the summary says so.
     """
     warm_up(setup)
     simulation = Simulation(scenario, setup)
@@ -119,13 +119,17 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
         companion = LockstepCompanion(setup, recorder, see_output)
         ending = Ending(scenario.hold_s, scenario.timeout_s)
         start_ns = time.perf_counter_ns()
-        failure = run(simulation, companion, ending, lambda truth: truth_log.append(truth, box.p_mrf_br_m(truth)))
+        failure, interrupted = None, False
+        try:
+            failure = run(simulation, companion, ending, lambda truth: truth_log.append(truth, box.p_mrf_br_m(truth)))
+        except KeyboardInterrupt:
+            interrupted = True
         wall_ns = time.perf_counter_ns() - start_ns
         result = score(truth_log.series(), phases, setup.tanker.window, scenario)
         summary = recorder.write_summary(
             {
                 **result, "seed": scenario.seed, "scenario": scenario.name, "plant_failure": failure,
-                "flown_s": simulation.truth.t_ns * NS,
+                "interrupted": interrupted, "flown_s": simulation.truth.t_ns * NS,
                 "real_time_factor": round(simulation.truth.t_ns / wall_ns, 2),
                 "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
             }
@@ -146,6 +150,6 @@ def run(
         except PlantError as error:
             return str(error)
         # Answers come at once, as over a wire without delay: the round trip of TIMESYNC is exact.
-        companion.hear(simulation.feed_mavlink(companion.arrive(arrivals)))
+        companion.hear(simulation.feed_mavlink(companion.arrive(arrivals), arrivals.t_ns))
         step += 1
     return None

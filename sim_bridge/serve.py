@@ -29,11 +29,12 @@ CALL_NS = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """How the serving went: simulated seconds, steps that began late, what the plant failed of."""
+    """How the serving went: simulated seconds, steps that began late, what the plant failed of, whether by Ctrl-C."""
 
     flown_s: float
     late_steps: int
-    plant_failure: str | None
+    plant_failure: str | None = None
+    interrupted: bool = False
 
 
 class PtyLine:
@@ -94,22 +95,26 @@ def serve(
 ) -> Served:
     """Serve one flight until ``stop``; ``see`` takes the truth at 50 Hz.
 
-    ``ready`` is called when all wires are up, ``heard`` when a companion has answered. Raises ConfigError when a wire
-    is not free.
+    ``ready`` is called when all wires are up, ``heard`` when a companion has answered; Ctrl-C after ``ready`` ends the
+    serving as ``stop`` does. Raises ConfigError when a wire is not free.
     """
     links = setup.config.links
     with ExitStack() as stack:
         transport = UdpTransport("mavlink", companion_end(links.mavlink))
         stack.callback(transport.close)
-        pty = PtyLink(scenario.datalink.rate_baud, pty_link(links.datalink))
-        stack.callback(pty.close)
         camera = ZmqFrameSender(links.camera)
         stack.callback(camera.close)
+        # The pty last: it would take its name from a simulator that runs, and that one's camera port is busy.
+        pty = PtyLink(scenario.datalink.rate_baud, pty_link(links.datalink))
+        stack.callback(pty.close)
         executor = stack.enter_context(ThreadPoolExecutor(1))
         simulation = Simulation(scenario, setup, PtyLine(pty), executor)
         ready()
-        if not wait_for_companion(transport, stop):
-            return Served(0.0, 0, None)
+        try:
+            if not wait_for_companion(transport, stop):
+                return Served(0.0, 0)
+        except KeyboardInterrupt:
+            return Served(0.0, 0, interrupted=True)
         heard()
         return _pace(simulation, transport, camera, stop, see)
 
@@ -120,24 +125,32 @@ def _pace(
 ) -> Served:
     next_ns = time.monotonic_ns()
     step = late = 0
-    while not stop():
-        behind_ns = time.monotonic_ns() - next_ns
-        if behind_ns < 0:
-            time.sleep(-behind_ns * 1e-9)
-        elif behind_ns > LATE_NS:
-            late += 1
-            next_ns += behind_ns - LATE_NS  # stretch: never a burst of steps to catch up
-        next_ns += STEP_NS
-        for data, _ in transport.poll():
-            transport.send(simulation.feed_mavlink(data))
-        if step % TRUTH_EVERY == 0:
-            see(simulation.truth)
-        try:
-            arrivals = simulation.step()
-        except PlantError as error:
-            return Served(simulation.truth.t_ns * 1e-9, late, str(error))
-        transport.send(arrivals.mavlink)
-        for frame in arrivals.frames:
-            camera.send(frame)
-        step += 1
-    return Served(step * STEP_NS * 1e-9, late, None)
+    failure, interrupted = None, False
+    try:
+        while not stop():
+            behind_ns = time.monotonic_ns() - next_ns
+            if behind_ns < 0:
+                time.sleep(-behind_ns * 1e-9)
+            elif behind_ns > LATE_NS:
+                late += 1
+                next_ns += behind_ns - LATE_NS  # stretch: never a burst of steps to catch up
+            next_ns += STEP_NS
+            if step % TRUTH_EVERY == 0:
+                see(simulation.truth)
+            _exchange(simulation, transport, camera)
+            step += 1
+    except PlantError as error:
+        failure = str(error)
+    except KeyboardInterrupt:
+        interrupted = True
+    return Served(step * STEP_NS * 1e-9, late, failure, interrupted)
+
+
+def _exchange(simulation: Simulation, transport: UdpTransport, camera: ZmqFrameSender) -> None:
+    """Answer what has come since the last step, run one step, send what it brings."""
+    for data, _ in transport.poll():
+        transport.send(simulation.feed_mavlink(data, simulation.truth.t_ns))
+    arrivals = simulation.step()
+    transport.send(arrivals.mavlink)
+    for frame in arrivals.frames:
+        camera.send(frame)

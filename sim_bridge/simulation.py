@@ -112,24 +112,23 @@ class Simulation:
         self._origin_altitude_m = setup.config.links.origin_altitude_m
         self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
         self._camera = Camera(setup, camera, executor)
-        self._t_ns = 0
 
     @property
     def truth(self) -> Truth:
         """Return the truth of the present instant."""
         return self.world.truth
 
-    def feed_mavlink(self, data: bytes) -> bytes:
-        """Give the autopilot bytes from the companion, at the instant of the last step; return what it answers."""
+    def feed_mavlink(self, data: bytes, t_ns: int) -> bytes:
+        """Give the autopilot bytes that reach it at ``t_ns``; return what it answers at once."""
         if not data:
             return b""
-        self.autopilot.feed(data, self._t_ns)
-        return self.autopilot.outgoing(self._t_ns)
+        self.autopilot.feed(data, t_ns)
+        return self.autopilot.outgoing(t_ns)
 
     def step(self) -> Arrivals:
         """Run one step; return what arrives at the companion at its instant."""
         truth = self.truth
-        t_ns = self._t_ns = truth.t_ns
+        t_ns = truth.t_ns
         effectors = self.autopilot.step(truth.uav)
         state = self._reporter.step(truth.tanker)
         if state is not None:

@@ -11,14 +11,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from companion.config import ConfigError, Setup
 from companion.io.recorder import create_run_folder, read_records
-from companion.messages import Phase, PhaseChange
+from companion.messages import NS, Phase, PhaseChange
 from sim_bridge.flight import BREAKAWAY_WATCH_S, Flown
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import score
@@ -27,6 +26,8 @@ from sim_bridge.simulation import BoxTruth
 from sim_bridge.truth import Truth
 from sim_bridge.truth_log import TruthLog
 
+START_S = 120.0
+"""How long a companion may take to answer: imports, and compiling on its first run."""
 STOP_S = 15.0
 BAD_INPUT = 2
 
@@ -43,11 +44,12 @@ def companion_command(scenario: Scenario, setup: Setup, folder: Path, t0_ns: int
 
 
 class CompanionProcess:
-    """The companion as a child: started when the wires are up, asked to stop at the end."""
+    """The companion as a child: started when the wires are up, asked to stop at the end (``asked``)."""
 
     def __init__(self, command: list[str]) -> None:
         self._command = command
         self._process: subprocess.Popen[bytes] | None = None
+        self.asked = False
 
     def start(self) -> None:
         """Start the child."""
@@ -62,6 +64,7 @@ class CompanionProcess:
         """Ask the child to stop, and make it stop when it does not."""
         if self._process is None or self._process.poll() is not None:
             return
+        self.asked = True
         self._process.send_signal(signal.SIGTERM)
         try:
             self._process.wait(STOP_S)
@@ -71,43 +74,96 @@ class CompanionProcess:
 
 
 def fly_sitl(scenario: Scenario, setup: Setup) -> Flown:
-    """Fly a scenario on the wall clock with a companion process of its own; raises ConfigError before the flight."""
-    t0_ns = time.monotonic_ns()
-    folder = create_run_folder(setup.config.recorder.out, scenario.name)
-    box = BoxTruth(setup, scenario.heading_rad)
-    with TruthLog(folder, setup, t0_ns=t0_ns) as truth_log:
+    """Fly a scenario on the wall clock with a companion process of its own.
 
-        def see(truth: Truth) -> None:
-            truth_log.append(replace(truth, t_ns=time.monotonic_ns()), box.p_mrf_br_m(truth))
-
-        served = _fly_beside(scenario, setup, companion_command(scenario, setup, folder, t0_ns), see)
-        result = score(truth_log.series(), recorded_phases(folder), setup.tanker.window, scenario)
+    Raises ConfigError when a wire is not free, and when the companion did not start or ended as it should not; then
+    what has been recorded stays. Ctrl-C ends the flight as time-up does, and the summary says so.
+    """
+    flight = _SitlFlight(scenario, setup)
+    try:
+        served = serve(scenario, setup, flight.stop, flight.see, flight.ready, flight.heard)
+    finally:
+        flight.close()
+    folder, truth_log = flight.recording
+    if not served.interrupted:
+        flight.check()
+    result = score(truth_log.series(), recorded_phases(folder), setup.tanker.window, scenario)
     return Flown(folder, _write_summary(folder, scenario, served, result))
 
 
-def _fly_beside(scenario: Scenario, setup: Setup, command: list[str], see: Callable[[Truth], None]) -> Served:
-    """Serve until the companion has ended or time is up; raises ConfigError when the companion could not start."""
-    companion = CompanionProcess(command)
-    started = time.monotonic()
+class _SitlFlight:
+    """What lives beside the serving: the run folder with the truth, the companion's process, when to stop."""
 
-    def stop() -> bool:
-        return companion.code is not None or time.monotonic() - started > scenario.timeout_s
+    def __init__(self, scenario: Scenario, setup: Setup) -> None:
+        self._scenario, self._setup = scenario, setup
+        self._box = BoxTruth(setup, scenario.heading_rad)
+        self._companion: CompanionProcess | None = None
+        self._recording: tuple[Path, TruthLog] | None = None
+        self._started_s = 0.0
+        self._heard = False
+        self._flown_s = 0.0
 
-    try:
-        served = serve(scenario, setup, stop, see, companion.start)
-    finally:
-        companion.stop()
-    if companion.code == BAD_INPUT:
-        msg = "the companion did not start; its message is above"
+    @property
+    def recording(self) -> tuple[Path, TruthLog]:
+        """Return run folder and truth, which are there once the wires are up."""
+        assert self._recording is not None
+        return self._recording
+
+    def ready(self) -> None:
+        """Make the run folder and start the companion: the wires are up."""
+        t0_ns = time.monotonic_ns()
+        folder = create_run_folder(self._setup.config.recorder.out, self._scenario.name)
+        self._recording = folder, TruthLog(folder, self._setup, t0_ns=t0_ns)
+        self._companion = CompanionProcess(companion_command(self._scenario, self._setup, folder, t0_ns))
+        self._companion.start()
+        self._started_s = time.monotonic()
+
+    def heard(self) -> None:
+        """Note that the companion has answered."""
+        self._heard = True
+
+    def see(self, truth: Truth) -> None:
+        """Record the truth on the companion's clock."""
+        self._flown_s = truth.t_ns * NS
+        self.recording[1].append(replace(truth, t_ns=time.monotonic_ns()), self._box.p_mrf_br_m(truth))
+
+    def stop(self) -> bool:
+        """Tell whether the companion has ended, or time is up: simulated time, or that to start in."""
+        assert self._companion is not None
+        if self._companion.code is not None:
+            return True
+        if self._heard:
+            return self._flown_s >= self._scenario.timeout_s
+        return time.monotonic() - self._started_s > START_S
+
+    def close(self) -> None:
+        """Stop the companion and close the truth."""
+        if self._companion is not None:
+            self._companion.stop()
+        if self._recording is not None:
+            self._recording[1].close()
+
+    def check(self) -> None:
+        """Raise ConfigError when the companion did not start, did not answer or did not end by itself or by us."""
+        assert self._companion is not None
+        code, asked = self._companion.code, self._companion.asked
+        if code == BAD_INPUT:
+            msg = "the companion did not start; its message is above"
+        elif code not in ((0, -signal.SIGTERM) if asked else (0,)):
+            msg = f"the companion ended with code {code}; its message is above"
+        elif asked and not self._heard:
+            msg = f"the companion has not answered within {START_S:.0f} s; is {self._setup.config.links.mavlink} right?"
+        else:
+            return
         raise ConfigError(msg)
-    return served
 
 
 def recorded_phases(folder: Path) -> list[PhaseChange]:
-    """Return the phase changes of a recording."""
+    """Return the phase changes of a recording; none when the companion ended before it recorded."""
+    path = folder / "events.jsonl"
     return [
         PhaseChange(r["t_ns"], Phase(r["old"]), Phase(r["new"]), r["reason"])
-        for r in read_records(folder / "events.jsonl")
+        for r in (read_records(path) if path.is_file() else ())
         if r["kind"] == "PhaseChange"
     ]
 
@@ -118,7 +174,7 @@ def _write_summary(folder: Path, scenario: Scenario, served: Served, result: dic
     own = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     summary = {
         **own, **result, "seed": scenario.seed, "scenario": scenario.name, "late_steps": served.late_steps,
-        "plant_failure": served.plant_failure,
+        "flown_s": served.flown_s, "plant_failure": served.plant_failure, "interrupted": served.interrupted,
     }
     path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary

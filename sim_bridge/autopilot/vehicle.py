@@ -120,8 +120,9 @@ class Vehicle:
         return self._setpoint
 
     def outgoing(self, t_ns: int) -> bytes:
-        """Return the frames that are due at ``t_ns``: answers first, then streams."""
-        due = self._timetable.due(t_ns) if self._seen is not None else []
+        """Return the frames that are due at ``t_ns``: answers, and streams once that instant has been measured."""
+        measured = self._seen is not None and self._seen[0].t_ns >= t_ns
+        due = self._timetable.due(t_ns) if measured else []
         if not due and not self._replies:
             return b""
         messages, self._replies = self._replies, []

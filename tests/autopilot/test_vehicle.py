@@ -335,6 +335,14 @@ def test_other_commands_are_acknowledged(link: Link) -> None:
     assert of_kind(link.fly(0.005), "COMMAND_ACK")[0].result == dialect.MAV_RESULT_UNSUPPORTED
 
 
+def test_answers_leave_at_once_and_streams_wait_for_the_sample_of_their_instant(link: Link) -> None:
+    link.fly(1.0)
+    link.send(dialect.MAVLink_timesync_message(0, 77))
+    early = [m for m, _ in link.codec.feed(link.vehicle.outgoing(link.t_ns))]  # before this instant's step
+    assert [(m.get_type(), m.tc1, m.ts1) for m in early] == [("TIMESYNC", link.t_ns, 77)]
+    assert of_kind(link.fly(0.005), "ATTITUDE_QUATERNION")[0].time_boot_ms == 1000
+
+
 def test_command_for_somebody_else_is_not_acknowledged(link: Link) -> None:
     link.send(dialect.MAVLink_command_long_message(2, 1, dialect.MAV_CMD_NAV_LAND, 0, *(0.0,) * 7))
     assert of_kind(link.fly(0.1), "COMMAND_ACK") == []

@@ -103,8 +103,8 @@ class Faulty(Simulation):
         f.following.append(self.autopilot.vehicle.following)
         return self._fault(arrivals, f)
 
-    def feed_mavlink(self, data):
-        return super().feed_mavlink(self._back(data, self._flight))
+    def feed_mavlink(self, data, t_ns):
+        return super().feed_mavlink(self._back(data, self._flight), t_ns)
 
 
 def fly_with(folder, scenario, setup, fault=lambda a, f: a, back=lambda data, f: data) -> Flight:
