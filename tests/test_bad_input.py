@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import zmq
@@ -181,17 +182,32 @@ def test_a_scenario_with_a_bad_companion_names_the_companion_file(tmp_path, capf
 
 
 def test_busy_camera_port(tmp_path, capfd):
+    link = tmp_path / "tanker"
+    link.symlink_to("/dev/null")
     with zmq.Context() as context, context.socket(zmq.PUB) as other:
         port = other.bind_to_random_port("tcp://127.0.0.1")
         line = refusal(capfd, "sim_bridge", "serve", "thesis", "--camera", f"tcp://127.0.0.1:{port}",
-                       "--datalink", tmp_path / "tanker")
+                       "--datalink", link)
+    assert link.readlink() == Path("/dev/null")  # the line of a simulator that runs is left alone
     assert f"camera 'tcp://127.0.0.1:{port}': the port is in use" in line
+
+
+def test_busy_wire_leaves_no_empty_recording_of_sitl(tmp_path, capfd):
+    with zmq.Context() as context, context.socket(zmq.PUB) as other:
+        port = other.bind_to_random_port("tcp://127.0.0.1")
+        links = f'[links]\nmavlink = "udpin:127.0.0.1:9"\ncamera = "tcp://127.0.0.1:{port}"\n'
+        scenario = scenario_toml(tmp_path, companion=companion_toml(tmp_path, links))
+        assert "the port is in use" in refusal(capfd, "sim_bridge", "sitl", scenario, "--out", tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
 
 
 def test_name_of_the_pty_that_is_taken(tmp_path, capfd):
     (tmp_path / "tanker").write_text("")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        camera = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     assert "exists and is no link; remove it" in refusal(
-        capfd, "sim_bridge", "serve", "thesis", "--datalink", tmp_path / "tanker")
+        capfd, "sim_bridge", "serve", "thesis", "--camera", camera, "--datalink", tmp_path / "tanker")
 
 
 def test_serve_calls_and_does_not_listen(capfd):
