@@ -173,7 +173,9 @@ def test_stopping_sitl_leaves_no_companion_behind(tmp_path):
         sitl.kill()
     out, err = sitl.communicate()  # ends only when the companion, which shares the pipe, has ended too
     assert b"Traceback" not in out + err
-    assert (run_folder(tmp_path) / "summary.json").is_file()
+    summary = json.loads((run_folder(tmp_path) / "summary.json").read_text())
+    assert (summary["interrupted"], summary["docked"]) == (True, False)
+    assert summary["setpoints"] > 0  # the companion's own part is in it
 
 
 @pytest.mark.slow
@@ -197,6 +199,7 @@ def test_sitl_docks_on_the_wall_clock(tmp_path):
     assert summary["in_window_fraction"] >= 0.95
     assert (summary["seed"], summary["scenario"], summary["breakaway"]) == (230, "thesis-near", None)
     assert summary["frames_with_pose"] > 0.9 * summary["frames"] > 100
+    assert 20.0 <= summary["latency_ms"]["transport"]["p50"] < 25.0  # the camera's 20 ms, a step, two sockets
     assert summary["latency_ms"]["exposure_to_setpoint"]["p50"] < 100.0
 
 

@@ -1,0 +1,117 @@
+"""How flights end that do not end well: a companion that breaks or never answers, Ctrl-C, a plant that fails."""
+
+import json
+import socket
+import sys
+
+import msgspec
+import numpy as np
+import pytest
+
+import sim_bridge.__main__
+from companion.config import ConfigError
+from companion.messages import Phase, PhaseChange, RelativeState
+from sim_bridge import sitl
+from sim_bridge.flight import Flown, fly
+from sim_bridge.scenario import load_scenario
+from sim_bridge.scoring import score
+from sim_bridge.sitl import fly_sitl, recorded_phases
+
+SLEEPS = "import time; time.sleep(60)"
+
+
+def free_port(kind):
+    with socket.socket(socket.AF_INET, kind) as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture
+def flight(tmp_path):
+    """Scenario and setup on wires of their own, recorded in a folder of their own."""
+    scenario = load_scenario("thesis")
+    setup, replace = scenario.setup(), msgspec.structs.replace
+    config = setup.config
+    links = replace(config.links, mavlink=f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}",
+                    datalink=f"{tmp_path}/tanker,19600", camera=f"tcp://127.0.0.1:{free_port(socket.SOCK_STREAM)}")
+    config = replace(config, links=links, recorder=replace(config.recorder, out=str(tmp_path / "runs")))
+    return scenario, replace(setup, config=config)
+
+
+@pytest.fixture
+def companion(monkeypatch):
+    """Let another program be the companion."""
+
+    def use(code):
+        monkeypatch.setattr(sitl, "companion_command", lambda *_: [sys.executable, "-c", code])
+
+    return use
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("raise SystemExit(1)", "the companion ended with code 1; its message is above"),
+        ("import os; os.kill(os.getpid(), 9)", "the companion ended with code -9; its message is above"),
+        ("import os; os.kill(os.getpid(), 15)", "the companion ended with code -15; its message is above"),
+        ("raise SystemExit(2)", "the companion did not start; its message is above"),
+    ],
+)
+def test_a_companion_that_breaks_is_no_flight_that_did_not_dock(flight, companion, code, words):
+    companion(code)
+    with pytest.raises(ConfigError) as refused:
+        fly_sitl(*flight)
+    assert str(refused.value) == words
+
+
+def test_a_companion_that_never_answers_is_given_up_and_stopped(flight, companion, monkeypatch):
+    companion(SLEEPS)
+    monkeypatch.setattr(sitl, "START_S", 0.2)
+    with pytest.raises(ConfigError, match="has not answered within 0 s; is udpin:"):
+        fly_sitl(*flight)
+
+
+def test_a_companion_that_ends_before_it_records_did_not_dock(flight, companion):
+    companion("pass")
+    flown = fly_sitl(*flight)
+    assert recorded_phases(flown.folder) == []
+    assert not flown.summary["docked"]
+    assert json.loads((flown.folder / "summary.json").read_text()) == flown.summary
+
+
+def test_ctrl_c_in_sitl_leaves_a_summary(flight, companion, monkeypatch):
+    def interrupted(transport, stop):
+        raise KeyboardInterrupt
+
+    companion(SLEEPS)
+    monkeypatch.setattr("sim_bridge.serve.wait_for_companion", interrupted)
+    flown = fly_sitl(*flight)
+    assert flown.summary["interrupted"]
+    assert {f.name for f in flown.folder.iterdir()} == {"summary.json", "truth.npz", "truth.rrd"}
+
+
+def test_ctrl_c_in_lockstep_leaves_a_whole_recording(flight):
+    def watch(output):
+        if isinstance(output, RelativeState) and output.t_ns > 1_000_000_000:
+            raise KeyboardInterrupt
+
+    flown = fly(*flight, watch)
+    written = json.loads((flown.folder / "summary.json").read_text())
+    assert (written["interrupted"], written["docked"], written["plant_failure"]) == (True, False, None)
+    assert 1.0 <= written["flown_s"] < 2.0
+    assert len(np.load(flown.folder / "truth.npz")["t_ns"]) >= 50
+
+
+@pytest.mark.parametrize(
+    ("docked", "plant_failure", "interrupted", "code"),
+    [(True, None, False, 0), (False, None, False, 3), (False, "NaN", False, 1), (True, "NaN", False, 1),
+     (False, None, True, 130)],
+)
+def test_exit_code_says_how_it_ended(flight, tmp_path, capsys, docked, plant_failure, interrupted, code):
+    scenario, setup = flight
+    nothing = score((np.empty(0, dtype=np.int64), np.empty((0, 3))),
+                    [PhaseChange(0, Phase.STANDBY, Phase.JOIN, "")], setup.tanker.window, scenario)
+    summary = {**nothing, "docked": docked, "plant_failure": plant_failure, "interrupted": interrupted,
+               "latency_ms": {}, "rejects": {}}
+    assert sim_bridge.__main__._told(Flown(tmp_path, summary), setup) == code
+    assert ("plant failed: NaN" in capsys.readouterr().err) == (code == 1)
