@@ -114,7 +114,7 @@ def test_missing_reference(tmp_path, capfd):
         (["--datalink", "/dev/null,19600"], "datalink /dev/null: not a usable serial device"),
         (["--datalink", "", "--camera", "tcp://127.0.0.1"], "not tcp://HOST:PORT"),
         (["--pose", "epnp"], "invalid choice: 'epnp'"),
-        (["--stop-after-hold", "soon"], "invalid float value: 'soon'"),
+        (["--stop-after-hold", "soon"], "invalid seconds value: 'soon'"),
         (["--nonsense"], "unrecognized arguments: --nonsense"),
     ],
 )
