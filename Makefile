@@ -60,7 +60,7 @@ check: $(VENV)/.dev
 	@$(BIN)/lint-imports
 
 bench: $(VENV)/.dev
-	@$(BIN)/python -m pytest -q -m bench -s tests/bench $(ARGS)
+	@$(BIN)/python -m pytest -q -m bench -s $(ARGS)
 
 figures: $(VENV)/.dev
 	@$(BIN)/python -m sim_bridge.figures --out docs
