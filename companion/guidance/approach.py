@@ -71,7 +71,10 @@ class Approach:
         outputs: list[Output] = []
         if state is not None:
             self._estimate_ns = state.estimate_t_ns
-        change = self._machine.step(t_ns, self._situation(t_ns, state))
+        situation = self._situation(t_ns, state)
+        change = self._machine.step(t_ns, situation)
+        if situation.taken_over and self.phase is Phase.STANDBY and change is not None:
+            self._engaged = False
         self._command = None
         if change is not None:
             outputs.append(change)
@@ -100,8 +103,9 @@ class Approach:
         heard = s is not None and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
         guided = heard and s is not None and s.armed and s.mode is AutopilotMode.GUIDED
         age_s = None if self._estimate_ns is None else (t_ns - self._estimate_ns) * NS
+        taken_over = heard and not guided
         if state is None:  # nothing to engage on: a join begins at a known place
-            return Situation(age_s, guided, engaged=False, command=self._command)
+            return Situation(age_s, guided, engaged=False, command=self._command, taken_over=taken_over)
         error = state.p_mrf_br_m - self._reference(t_ns).p_m
         return Situation(
             estimate_age_s=age_s,
@@ -114,6 +118,7 @@ class Approach:
             inside_limit=bool(np.all(np.abs(state.p_mrf_br_m) <= self._limit_m)),
             tracking_ok=bool(np.sqrt(error @ error) <= self._config.off_path_m),
             in_corridor=self._in_corridor(state.p_mrf_br_m),
+            taken_over=taken_over,
         )
 
     def _in_corridor(self, p_mrf_br_m: Vec) -> bool:
@@ -135,7 +140,8 @@ class Approach:
         elif change.new in (Phase.STANDBY, Phase.BREAKAWAY):
             self._path = None
             self._station = station(np.zeros(3))
-            self._engaged = False
+            if change.new is Phase.BREAKAWAY:
+                self._engaged = False
 
     def _reference(self, t_ns: int) -> Reference:
         return self._station if self._path is None else self._path.at(t_ns)

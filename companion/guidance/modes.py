@@ -5,7 +5,7 @@ Rules
 * ``TABLE`` is all there is: from a phase, the first row whose condition holds moves the machine. A phase that has no
   row for what happened stays where it is.
 * Breakaway is latched: only an operator leaves it, by CLEAR or by taking the autopilot out of guided, to standby.
-* Whoever comes back to standby is engaged again by an operator only.
+* After a breakaway, or when a pilot took over, an operator has to engage again; after a silent link it goes on.
 * ``README`` draws its diagram from this table (``diagram``).
 """
 
@@ -19,7 +19,11 @@ from companion.messages import Command, Phase, PhaseChange
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What the table's conditions look at, at one guidance step; ``guided``: armed, and following our setpoints."""
+    """What the table's conditions look at, at one guidance step.
+
+    ``guided``: armed, and following our setpoints, by a recent heartbeat; ``taken_over``: a recent heartbeat that says
+    it does not, which a silent link never says.
+    """
 
     estimate_age_s: float | None
     guided: bool
@@ -31,6 +35,7 @@ class Situation:
     inside_limit: bool = True
     tracking_ok: bool = True
     in_corridor: bool = True
+    taken_over: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +108,7 @@ TABLE: tuple[Row, ...] = (
     *_breakaway_rows(Phase.HOLD, ("outside the limit window", _left_limit)),
     Row(Phase.HOLD, Phase.STANDBY, "autopilot left guided", _not_guided),
     Row(Phase.BREAKAWAY, Phase.STANDBY, "operator's clear", lambda s, m: s.command is Command.CLEAR),
-    Row(Phase.BREAKAWAY, Phase.STANDBY, "autopilot left guided", _not_guided),
+    Row(Phase.BREAKAWAY, Phase.STANDBY, "pilot took over", lambda s, m: s.taken_over),
 )
 
 

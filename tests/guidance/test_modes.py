@@ -56,3 +56,18 @@ def test_breakaway_is_latched_until_an_operator_clears_it():
 def test_table_reaches_every_phase_and_the_diagram_shows_every_row():
     assert {row.new for row in TABLE} == set(Phase)
     assert all(f"{row.old} --> {row.new}: {row.reason}" in diagram() for row in TABLE)
+
+
+def test_a_silent_link_keeps_a_breakaway_and_a_pilot_ends_it():
+    assert machine(Phase.BREAKAWAY).step(0, replace(GOOD, guided=False)) is None
+    change = machine(Phase.BREAKAWAY).step(0, replace(GOOD, guided=False, taken_over=True))
+    assert change.new is Phase.STANDBY
+
+
+@pytest.mark.parametrize("missing", [{"in_corridor": False}, {"estimate_age_s": 0.4}])
+def test_no_phase_moves_forward_from_a_bad_place_or_on_an_old_estimate(missing):
+    ready = replace(GOOD, settled_s=9.0, path_done=True, captured_s=9.0)
+    assert machine(Phase.STANDBY).step(0, replace(ready, **missing)) is None
+    if "estimate_age_s" in missing:
+        assert machine(Phase.JOIN).step(0, replace(ready, **missing)) is None
+        assert machine(Phase.APPROACH).step(0, replace(ready, **missing)) is None

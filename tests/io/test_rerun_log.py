@@ -219,5 +219,5 @@ def test_bad_folders_and_no_display_are_one_clear_line(
         open_viewer(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(ConfigError, match=r"no display .* rerun --bind 127.0.0.1 --web-viewer .*flight.rrd"):
+    with pytest.raises(ConfigError, match=r"no display .*rerun --bind 127.0.0.1 --web-viewer .*flight.rrd"):
         open_viewer(folder)
