@@ -19,7 +19,6 @@ from companion.messages import (
     Phase,
     PhaseChange,
     Reject,
-    RelativeState,
     Setpoint,
     Tick,
 )
@@ -80,7 +79,6 @@ class Service:
         self._stage_start_ns = 0
         self._t_ns = 0
         self._pending_exposure_ns: int | None = None
-        self.latest: RelativeState | None = None
         self.phase_since_ns = 0
 
     @property
@@ -98,8 +96,6 @@ class Service:
         for output in outputs:
             if isinstance(output, Setpoint):
                 self._send(output)
-            elif isinstance(output, RelativeState):
-                self.latest = output
             elif isinstance(output, FusedPose) and output.markers_used:
                 self._pending_exposure_ns = output.t_ns
             elif isinstance(output, PhaseChange):

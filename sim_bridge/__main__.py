@@ -145,10 +145,9 @@ def _serve(a: argparse.Namespace) -> int:
 
 
 def _linearize(a: argparse.Namespace) -> int:
-    result = linearize.linearize()
+    result = linearize.write_airframe(Path(a.write)) if a.write else linearize.linearize()
     print(linearize.report(result))
     if a.write:
-        linearize.write_airframe(Path(a.write))
         print(f"written: {a.write}")
     return DOCKED
 

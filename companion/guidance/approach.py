@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from companion.config import AirframeConfig, GuidanceConfig, WindowConfig
@@ -79,13 +81,14 @@ class Approach:
         if change is not None:
             outputs.append(change)
             self._enter(change, state)
-        if state is None or not self._fresh(t_ns, state):
+        age_s = math.inf if state is None else (t_ns - state.estimate_t_ns) * NS
+        fresh = age_s <= self._config.estimate_stale_s
+        if not fresh:
             self._settled_since = self._captured_since = None
         if self.phase is Phase.STANDBY or state is None:
             return outputs
-        if not self._fresh(t_ns, state):
+        if not fresh:
             return [*outputs, Reject(t_ns, "guard", "estimate_stale")]
-        age_s = (t_ns - state.estimate_t_ns) * NS
         reference = self._reference(t_ns)
         sent = guard(self._wanted(t_ns, state, reference), age_s, self._envelope)
         self._watch(t_ns, state, reference)
@@ -94,9 +97,6 @@ class Approach:
         outputs.append(GuidanceOutput(t_ns, self.phase, reference.p_m, error, self._law.integral_m_s, setpoint))
         outputs.append(sent)
         return outputs
-
-    def _fresh(self, t_ns: int, state: RelativeState) -> bool:
-        return (t_ns - state.estimate_t_ns) * NS <= self._config.estimate_stale_s
 
     def _situation(self, t_ns: int, state: RelativeState | None) -> Situation:
         s = self._status
