@@ -14,12 +14,10 @@ from companion.config import (
     CompanionConfig,
     ConfigError,
     TankerConfig,
-    all_field_names,
-    convert,
     load,
     load_setup,
-    unit_of,
 )
+from companion.config.loading import all_field_names, convert, unit_of
 
 CAMERA: dict[str, Any] = {
     "name": "c", "width_px": 640, "height_px": 480, "rate_hz": 20.0, "fx_px": 457.0, "fy_px": 457.0,

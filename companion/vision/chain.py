@@ -77,7 +77,7 @@ class VisionChain:
             labels = np.where(inside, np.cumsum(inside) - 1, -1)
             return Detections(frame.t_ns, predicted[inside], np.zeros(inside.sum())), labels
         blobs = detect_markers(frame.image, self.config.detection)
-        labels = label_mutual_nearest(predicted, blobs.uv_px, self.config.max_label_distance_px)
+        labels = label_mutual_nearest(predicted, blobs.uv_px, self.config.labeling.max_distance_px)
         return Detections(frame.t_ns, blobs.uv_px, blobs.area_px), labels
 
     def _pose(

@@ -1,0 +1,51 @@
+"""Configuration: ``structures`` (what there is), ``loading`` (from TOML files), ``rules`` (what has to hold).
+
+Frozen, loaded once and passed down. A wrong file is one ``ConfigError`` that names file, field and unit.
+"""
+
+from companion.config.loading import ConfigError, assemble, load, load_setup
+from companion.config.structures import (
+    FIRMWARE_CONFIGS,
+    AirframeConfig,
+    AttitudeResponse,
+    BoomConfig,
+    CameraConfig,
+    CompanionConfig,
+    DetectionConfig,
+    FusionConfig,
+    GuidanceConfig,
+    LabelingConfig,
+    LinksConfig,
+    Setup,
+    Struct,
+    TankerConfig,
+    TrimConfig,
+    Vec3,
+    VisionConfig,
+    WindowConfig,
+)
+
+__all__ = [
+    "FIRMWARE_CONFIGS",
+    "AirframeConfig",
+    "AttitudeResponse",
+    "BoomConfig",
+    "CameraConfig",
+    "CompanionConfig",
+    "ConfigError",
+    "DetectionConfig",
+    "FusionConfig",
+    "GuidanceConfig",
+    "LabelingConfig",
+    "LinksConfig",
+    "Setup",
+    "Struct",
+    "TankerConfig",
+    "TrimConfig",
+    "Vec3",
+    "VisionConfig",
+    "WindowConfig",
+    "assemble",
+    "load",
+    "load_setup",
+]

@@ -1,0 +1,98 @@
+"""What has to hold of a configuration whose types are right, and what to say when it does not."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from companion.config.structures import AirframeConfig, CameraConfig, CompanionConfig, TankerConfig
+
+Rules = list[tuple[bool, str]]
+"""What has to hold of values that are of the right type, and what to say when it does not."""
+
+
+def enough_markers(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
+    """Return that the tanker has as many lights as a pose is asked to have."""
+    most = max(c.vision.min_markers, c.fusion.min_markers)
+    return most <= len(t.markers), f"min_markers {most}, and the tanker has {len(t.markers)} markers"
+
+
+def camera_rules(c: CameraConfig) -> Rules:
+    """Return what has to hold of a camera."""
+    turns = max(abs(c.mount_yaw_rad), abs(c.mount_pitch_rad), abs(c.mount_roll_rad))
+    return [
+        (c.width_px >= 16 and c.height_px >= 16, "width_px and height_px must be at least 16"),
+        (c.fx_px > 0 and c.fy_px > 0, "fx_px and fy_px must be positive"),
+        (0 < c.rate_hz <= 1000, "rate_hz must be in 0..1000 hertz"),
+        (c.latency_s >= 0 and c.exposure_s >= 0, "latency_s and exposure_s must not be negative"),
+        (turns <= math.pi, "mount_yaw_rad, mount_pitch_rad, mount_roll_rad must be within pi (radians, not degrees)"),
+    ]
+
+
+def tanker_rules(t: TankerConfig) -> Rules:
+    """Return what has to hold of a tanker."""
+    window = all(0 < d <= m for d, m in zip(t.window.desired_m, t.window.limit_m, strict=True))
+    return [
+        (len(t.markers) >= 4, "at least 4 markers are needed for a pose"),
+        (len({m.id for m in t.markers}) == len(t.markers), "two markers have the same id"),
+        (t.marker_radius_m > 0, "marker_radius_m must be positive"),
+        (window, "window.desired_m must be positive and lie inside window.limit_m"),
+    ]
+
+
+def airframe_rules(a: AirframeConfig) -> Rules:
+    """Return what has to hold of an airframe."""
+    return [
+        (len(a.A) == 9 and all(len(r) == 9 for r in a.A), "A must be 9 rows of 9"),
+        (len(a.B) == 9 and all(len(r) == 10 for r in a.B), "B must be 9 rows of 10"),
+        (a.mass_kg > 0, "mass_kg must be positive kilograms"),
+        (a.trim.airspeed_m_s > 0, "trim.airspeed_m_s must be positive"),
+        (0 <= a.trim.throttle <= 1, "trim.throttle must be in 0..1"),
+        (abs(a.trim.alpha_rad) < math.pi / 2, "trim.alpha_rad must be within pi / 2 (radians, not degrees)"),
+        (len(a.trim.effectors) == 10, "trim.effectors must be 10 values"),
+        (min(a.response.roll_rad_s, a.response.pitch_rad_s, a.response.thrust_lag_s) > 0,
+         "response.roll_rad_s, pitch_rad_s and thrust_lag_s must be positive"),
+        (0 <= a.response.delay_s <= 1, "response.delay_s must be in 0..1 seconds"),
+    ]
+
+
+def companion_rules(c: CompanionConfig) -> Rules:
+    """Return what has to hold of the companion's own values."""
+    g, links, fusion = c.guidance, c.links, c.fusion
+    ids = (links.system_id, links.component_id, links.autopilot_component_id, links.gcs_system_id)
+    return [
+        (fusion.d1_m > fusion.d2_m > 0, "fusion: d1_m must be larger than d2_m, both in metres"),
+        (fusion.min_markers >= 4, "fusion.min_markers must be at least 4"),
+        (c.vision.min_markers >= 4, "vision.min_markers must be at least 4"),
+        (min(fusion.vision_stale_s, fusion.own_stale_s, fusion.tanker_stale_s) > 0,
+         "fusion: vision_stale_s, own_stale_s and tanker_stale_s must be positive seconds"),
+        (10 <= g.rate_hz <= 200, "guidance.rate_hz must be in 10..200 hertz"),
+        (g.path_duration_s > 0, "guidance.path_duration_s must be positive seconds"),
+        (g.max_closure_m_s > 0, "guidance.max_closure_m_s must be positive metres per second"),
+        (min(g.join_range_m, g.off_path_m, g.breakaway_separation_m) > 0,
+         "guidance: join_range_m, off_path_m and breakaway_separation_m must be positive metres"),
+        (min(msgspec.structs.astuple(g.weights)) >= 0, "guidance.weights must not be negative"),
+        (min(g.weights.roll, g.weights.pitch, g.weights.thrust) > 0,
+         "guidance.weights: roll, pitch and thrust must be positive"),
+        (c.vision.tol > 0 and c.vision.epsilon > 0, "vision: tol and epsilon must be positive"),
+        (c.vision.max_image_error_px > 0, "vision.max_image_error_px must be positive pixels"),
+        (c.vision.labeling.max_distance_px > 0, "vision.labeling.max_distance_px must be positive pixels"),
+        (min(c.vision.labeling.prior_sigma_m, c.vision.labeling.prior_sigma_rad) > 0,
+         "vision.labeling: prior_sigma_m and prior_sigma_rad must be positive metres and radians"),
+        (c.vision.glsdc_iterations >= 1, "vision.glsdc_iterations must be at least 1"),
+        (c.vision.detection.morphology_px >= 0, "vision.detection.morphology_px must not be negative"),
+        (c.vision.detection.max_detections >= 4, "vision.detection.max_detections must be at least 4"),
+        (0 < g.estimate_stale_s <= 1, "guidance.estimate_stale_s must be in 0..1 seconds"),
+        (g.estimate_stale_s <= g.breakaway_stale_s <= 10,
+         "guidance.breakaway_stale_s must be in estimate_stale_s..10 seconds"),
+        (0 < g.max_roll_rad < math.pi / 2, "guidance.max_roll_rad must be in 0..pi / 2 (radians, not degrees)"),
+        (0 < g.max_pitch_offset_rad < math.pi / 4,
+         "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
+        (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
+        (0 <= g.link_delay_s <= 1, "guidance.link_delay_s must be in 0..1 seconds"),
+        (0 < c.vision.detection.threshold < 256, "vision.detection.threshold must be in 1..255"),
+        (all(1 <= i <= 255 for i in ids), "links: system and component ids must be in 1..255"),
+        (c.recorder.image_rate_hz >= 0, "recorder.image_rate_hz must not be negative"),
+        (1 <= c.recorder.jpeg_quality <= 100, "recorder.jpeg_quality must be in 1..100"),
+    ]

@@ -1,0 +1,257 @@
+"""Configuration: frozen structures with documented defaults. Every field's unit is in its name."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+FIRMWARE_CONFIGS = Path(__file__).resolve().parent.parent.parent / "firmware_configs"
+
+
+class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all configuration: frozen, and a misspelt key is an error."""
+
+
+Vec3 = tuple[float, float, float]
+
+
+class CameraConfig(Struct, frozen=True, kw_only=True):
+    """Pinhole camera with Brown distortion, and its place on the receiver.
+
+    ``distortion`` k1, k2, p1, p2, k3 of OpenCV. ``p_frd_cam_m`` is the centre of projection in receiver body axes;
+    ``mount_*`` turn body axes to the thesis' camera axes (forward, right, down), yaw, pitch, roll in that order.
+    ``exposure_s`` and ``latency_s``: how long one picture integrates, and from mid-exposure to delivery.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    rate_hz: float
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    p_frd_cam_m: Vec3
+    mount_yaw_rad: float = 0.0
+    mount_pitch_rad: float = 0.0
+    mount_roll_rad: float = 0.0
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    exposure_s: float = 0.0
+    latency_s: float = 0.02
+
+
+class MarkerConfig(Struct, frozen=True, kw_only=True):
+    """One light on the tanker. ``p_tanker_m`` in tanker body axes from its centre of mass."""
+
+    id: int
+    p_tanker_m: Vec3
+    where: str = ""
+
+
+class WindowConfig(Struct, frozen=True, kw_only=True):
+    """Three-dimensional window of thesis Tab. 1.1: half-widths about box B, per axis of ``mrf``."""
+
+    desired_m: Vec3 = (0.40, 1.87, 0.90)
+    limit_m: Vec3 = (2.10, 2.10, 2.56)
+
+
+class BoomConfig(Struct, frozen=True, kw_only=True):
+    """Where the boom hangs: pivot in tanker axes, nominal angles and length."""
+
+    pivot_tanker_m: Vec3
+    elevation_rad: float = math.radians(30.0)
+    azimuth_rad: float = 0.0
+    length_m: float = 11.5
+
+
+class TankerConfig(Struct, frozen=True, kw_only=True):
+    """What the companion must know of a tanker: lights, refuelling box, window."""
+
+    name: str
+    markers: tuple[MarkerConfig, ...]
+    marker_radius_m: float
+    box_tanker_m: Vec3
+    boom: BoomConfig
+    window: WindowConfig = WindowConfig()
+    why: str = ""
+
+
+class DetectionConfig(Struct, frozen=True, kw_only=True):
+    """Marker detection (thesis 4.2.1): a pixel is lit when red exceeds the larger of green and blue by a threshold."""
+
+    threshold: int = 60
+    min_area_px: int = 1
+    max_area_px: int = 4000
+    morphology_px: int = 0
+    max_detections: int = 64
+
+
+class LabelingConfig(Struct, frozen=True, kw_only=True):
+    """Which detection is which marker: the thesis' mutual nearest neighbour (4.2.4), or labels that are verified.
+
+    ``prior_sigma_m`` and ``prior_sigma_rad``: standard deviation per axis of the prior's translation and rotation.
+    ``max_distance_px`` bounds a pair of mutual nearest neighbours.
+    """
+
+    method: Literal["mutual_nearest", "robust"] = "mutual_nearest"
+    max_distance_px: float = 40.0
+    prior_sigma_m: float = 1.0
+    prior_sigma_rad: float = 0.02
+
+
+class VisionConfig(Struct, frozen=True, kw_only=True):
+    """Labeling and pose. ``mode`` rv uses the picture, sv the projected markers (thesis 4.2.5)."""
+
+    solver: Literal["lhm", "glsdc"] = "lhm"
+    mode: Literal["rv", "sv"] = "rv"
+    method: Literal["svd", "quaternion"] = "svd"
+    tol: float = 1e-5
+    epsilon: float = 1e-8
+    glsdc_iterations: int = 4
+    min_markers: int = 5
+    max_image_error_px: float = 3.0
+    detection: DetectionConfig = DetectionConfig()
+    labeling: LabelingConfig = LabelingConfig()
+
+
+class FusionConfig(Struct, frozen=True, kw_only=True):
+    """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``."""
+
+    method: Literal["blend"] = "blend"
+    d1_m: float = 55.0
+    d2_m: float = 40.0
+    min_markers: int = 5
+    vision_stale_s: float = 0.3
+    own_stale_s: float = 0.3
+    tanker_stale_s: float = 1.0
+
+
+class LawWeights(Struct, frozen=True, kw_only=True):
+    """Diagonals of Q and R of the docking law (thesis eq. 3.11): errors, rates, integrals, then inputs."""
+
+    e_x: float = 1.0
+    e_y: float = 1.0
+    e_z: float = 1.0
+    v_x: float = 1.0
+    v_y: float = 1.0
+    v_z: float = 1.0
+    p: float = 0.0
+    q: float = 0.0
+    int_x: float = 0.05
+    int_y: float = 0.05
+    int_z: float = 0.05
+    roll: float = 150.0
+    pitch: float = 400.0
+    thrust: float = 2.0
+
+
+class GuidanceConfig(Struct, frozen=True, kw_only=True):
+    """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot."""
+
+    law: Literal["attitude"] = "attitude"
+    rate_hz: float = 50.0
+    weights: LawWeights = LawWeights()
+    link_delay_s: float = 0.0
+    auto_engage: bool = False
+    path_duration_s: float = 50.0
+    join_settle_s: float = 3.0
+    join_tolerance_m: float = 2.5
+    off_path_m: float = 10.0
+    join_range_m: float = 150.0
+    max_closure_m_s: float = 2.0
+    estimate_stale_s: float = 0.3
+    breakaway_stale_s: float = 1.0
+    capture_s: float = 2.0
+    max_roll_rad: float = 0.35
+    max_pitch_offset_rad: float = 0.12
+    breakaway_descent_rad: float = 0.05
+    breakaway_thrust: float = 0.05
+    breakaway_separation_m: float = 60.0
+
+
+class LinksConfig(Struct, frozen=True, kw_only=True):
+    """Where the other ends are. An empty ``datalink`` or ``camera`` means there is none.
+
+    ``system_id`` is the vehicle's, ours and the autopilot's; commands are taken from it and from ``gcs_system_id``.
+    ``origin_altitude_m`` is the height at which the down axis of ``ned`` is zero for both aircraft.
+    """
+
+    mavlink: str = "udpin:127.0.0.1:14540"
+    datalink: str = ""
+    camera: str = ""
+    system_id: int = 1
+    component_id: int = 191
+    autopilot_component_id: int = 1
+    origin_altitude_m: float = 6000.0
+    gcs_system_id: int = 255
+
+
+class RecorderConfig(Struct, frozen=True, kw_only=True):
+    """What is written to the run folder."""
+
+    out: str = "runs"
+    image_rate_hz: float = 5.0
+    jpeg_quality: int = 80
+
+
+class AttitudeResponse(Struct, frozen=True, kw_only=True):
+    """How the autopilot follows attitude and thrust: second-order roll and pitch, first-order thrust, delay."""
+
+    roll_rad_s: float
+    roll_damping: float
+    pitch_rad_s: float
+    pitch_damping: float
+    thrust_lag_s: float
+    delay_s: float
+
+
+class TrimConfig(Struct, frozen=True, kw_only=True):
+    """Level flight behind the tanker."""
+
+    airspeed_m_s: float
+    altitude_m: float
+    alpha_rad: float
+    throttle: float
+    effectors: tuple[float, ...]
+
+
+class AirframeConfig(Struct, frozen=True, kw_only=True):
+    """The receiver: where its receptacle is and how it flies; written by ``sim-bridge linearize``.
+
+    ``A`` (9, 9) over V, alpha, beta, p, q, r, psi, theta, phi (m/s, rad, rad/s) and ``B`` (9, 10) over the thesis'
+    input vector (eq. 3.3; throttle 0..1, surfaces in rad), at ``trim``.
+    """
+
+    name: str
+    receptacle_frd_m: Vec3
+    mass_kg: float
+    trim: TrimConfig
+    response: AttitudeResponse
+    A: tuple[tuple[float, ...], ...]
+    B: tuple[tuple[float, ...], ...]
+    source: str = ""
+
+
+class CompanionConfig(Struct, frozen=True, kw_only=True):
+    """Everything that ``companion run`` needs; the named files are loaded beside it."""
+
+    camera: str
+    tanker: str
+    airframe: str
+    links: LinksConfig = LinksConfig()
+    vision: VisionConfig = VisionConfig()
+    fusion: FusionConfig = FusionConfig()
+    guidance: GuidanceConfig = GuidanceConfig()
+    recorder: RecorderConfig = RecorderConfig()
+
+
+class Setup(msgspec.Struct, frozen=True, kw_only=True):
+    """A companion configuration with its files loaded."""
+
+    config: CompanionConfig
+    camera: CameraConfig
+    tanker: TankerConfig
+    airframe: AirframeConfig
