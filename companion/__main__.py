@@ -1,7 +1,7 @@
 """Command line of the companion.
 
-Exit codes: 0 done or asked to stop (Ctrl-C, SIGTERM), 2 bad input (one line on stderr says what to mend), 130
-interrupted before the service had begun.
+Exit codes: 0 done or asked to stop (Ctrl-C, SIGTERM), 1 a command was refused, 2 bad input (one line on stderr says
+what to mend), 130 interrupted before the service had begun.
 """
 
 from __future__ import annotations
@@ -16,9 +16,13 @@ import msgspec
 
 from companion import __version__, app
 from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
-from companion.config import CompanionConfig, ConfigError, assemble, load
+from companion.config import CompanionConfig, ConfigError, LinksConfig, assemble, load
+from companion.io.operator import send_command
 from companion.io.recorder import newest_run
 from companion.io.rerun_view import open_viewer, screenshot
+from companion.messages import Command
+
+REFUSED = 1
 
 
 def seconds(text: str) -> float:
@@ -47,6 +51,12 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--stop-after-hold", type=seconds, metavar="S", help="end after so many seconds of hold")
     run.add_argument("--stop-after-breakaway", type=seconds, metavar="S", help="end so many seconds after a breakaway")
     run.set_defaults(action=_run)
+
+    command = commands.add_parser("command", help="tell a running companion what the operator wants")
+    command.add_argument("name", choices=[c.value for c in Command], metavar="NAME",
+                         help=", ".join(c.value for c in Command))
+    command.add_argument("--mavlink", metavar="URL", default="udpout:127.0.0.1:14540", help="where it listens")
+    command.set_defaults(action=_command)
 
     view = commands.add_parser("view", help="open a recording in the Rerun viewer")
     view.add_argument("run", nargs="?", metavar="RUN_DIR", help="a run folder; without it the newest of runs/")
@@ -88,6 +98,12 @@ def _with_options(config: CompanionConfig, a: argparse.Namespace) -> CompanionCo
     if a.pose is not None:
         config = replace(config, vision=replace(config.vision, solver=a.pose))
     return config
+
+
+def _command(a: argparse.Namespace) -> int:
+    result = send_command(a.mavlink, Command(a.name), LinksConfig())
+    print(f"{a.name}: {result}")
+    return 0 if result == "accepted" else REFUSED
 
 
 def _view(a: argparse.Namespace) -> int:

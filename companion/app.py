@@ -24,7 +24,7 @@ from companion.io.console import FlightConsole
 from companion.io.datalink import SerialDatalink
 from companion.io.mavlink import MavlinkUdp, OnBytes
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import CameraFrame, Output, Phase, PhaseChange, Reject
+from companion.messages import CameraFrame, Output, Phase, PhaseChange, Reject, VisionModeChange
 from companion.pipeline import Pipeline
 from companion.ports import Clock
 from companion.runtime import Service, Watched, in_phase_s, run_live
@@ -125,6 +125,8 @@ def run(setup: Setup, options: RunOptions) -> int:
             console.output(output)
             if isinstance(output, PhaseChange):
                 autopilot.say(f"phase {output.new}: {output.reason}")
+            elif isinstance(output, VisionModeChange):
+                autopilot.say(f"vision {output.mode}")
             elif isinstance(output, Reject) and output.reason == "silent":
                 console.notice(f"{output.source}: {output.detail}")
 

@@ -85,6 +85,8 @@ class Command(StrEnum):
     ENGAGE = "engage"
     BREAKAWAY = "breakaway"
     CLEAR = "clear"
+    REAL_VISION = "real_vision"
+    SIMULATED_VISION = "simulated_vision"
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,4 +231,19 @@ class GuidanceOutput:
     setpoint: Setpoint | None
 
 
-Output = VisionOutput | FusedPose | RelativeState | PhaseChange | GuidanceOutput | Setpoint | Reject
+class VisionMode(StrEnum):
+    """Where labelled markers come from (thesis 4.2.5): the picture, or the projection of what GPS and INU say."""
+
+    REAL = "rv"
+    SIMULATED = "sv"
+
+
+@dataclass(frozen=True, slots=True)
+class VisionModeChange:
+    """An operator switched between real and simulated vision."""
+
+    t_ns: int
+    mode: VisionMode
+
+
+Output = VisionOutput | FusedPose | RelativeState | PhaseChange | GuidanceOutput | Setpoint | VisionModeChange | Reject

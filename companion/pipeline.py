@@ -20,6 +20,7 @@ from companion.guidance.approach import Approach
 from companion.messages import (
     AutopilotStatus,
     CameraFrame,
+    Command,
     Event,
     OperatorCommand,
     Output,
@@ -29,9 +30,13 @@ from companion.messages import (
     Reject,
     TankerState,
     Tick,
+    VisionMode,
+    VisionModeChange,
 )
 from companion.vision.camera import T_frd_cam
 from companion.vision.chain import VisionChain
+
+VISION_MODES = {Command.REAL_VISION: VisionMode.REAL, Command.SIMULATED_VISION: VisionMode.SIMULATED}
 
 
 def unmarked(stage: str) -> None:
@@ -47,7 +52,6 @@ class Pipeline:
         self.blend = Blend(setup.config.fusion, T_frd_cam(setup.camera))
         self.relative = RelativeEstimator(self.blend, setup.tanker, setup.airframe)
         self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
-        self._looks = setup.config.vision.mode == "rv"
         self._last_frame: CameraFrame | None = None
 
         self._handlers: dict[type, Callable[[Any], list[Output]]] = {
@@ -75,6 +79,10 @@ class Pipeline:
         return []
 
     def _command(self, command: OperatorCommand) -> list[Output]:
+        mode = VISION_MODES.get(command.command)
+        if mode is not None:
+            self.vision.mode = mode
+            return [VisionModeChange(command.t_ns, mode)]
         self.approach.command_event(command.command)
         return []
 
@@ -83,7 +91,8 @@ class Pipeline:
         if fault:
             return [Reject(frame.t_ns, "camera", fault)]
         # Simulated vision projects what GPS says: its own answer as prior would feed on itself (thesis 4.2.5, 7.3).
-        prior = self.blend.prior(frame.t_ns) if self._looks else self.blend.gps_prior(frame.t_ns)
+        looks = self.vision.mode is VisionMode.REAL
+        prior = self.blend.prior(frame.t_ns) if looks else self.blend.gps_prior(frame.t_ns)
         if prior is None:
             return [Reject(frame.t_ns, "vision", "no_prior")]
         seen = self.vision.process(frame, prior)
@@ -101,7 +110,8 @@ class Pipeline:
         if last is not None and frame.t_ns <= last.t_ns:
             return "time_not_forward"
         self._last_frame = frame
-        return "frozen" if self._looks and last is not None and _same_picture(frame.image, last.image) else ""
+        looks = self.vision.mode is VisionMode.REAL
+        return "frozen" if looks and last is not None and _same_picture(frame.image, last.image) else ""
 
     def _tick(self, tick: Tick) -> list[Output]:
         state = self.relative.at(tick.t_ns)

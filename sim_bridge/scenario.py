@@ -18,6 +18,7 @@ from typing import Literal
 import msgspec
 
 from companion.config import ConfigError, Setup, Struct, Vec3, load, load_setup
+from companion.messages import Command
 
 SCENARIOS = Path(__file__).resolve().parent / "scenarios"
 
@@ -45,6 +46,13 @@ class PassCriteria(Struct, frozen=True, kw_only=True):
     in_window_fraction: float = 0.95
 
 
+class TimedCommand(Struct, frozen=True, kw_only=True):
+    """What the operator sends ``at_s`` seconds into the flight."""
+
+    at_s: float
+    command: Command
+
+
 class Scenario(Struct, frozen=True, kw_only=True):
     """One flight. ``start_tanker_m`` is the receiver's centre of mass in tanker axes (thesis x0, 1.2).
 
@@ -63,6 +71,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     timeout_s: float = 180.0
     datalink: DatalinkScenario = DatalinkScenario()
     criteria: PassCriteria = PassCriteria()
+    commands: tuple[TimedCommand, ...] = ()
 
     def setup(self) -> Setup:
         """Load the companion configuration and what it names."""
@@ -116,6 +125,7 @@ def check(s: Scenario, path: Path) -> None:
         (s.datalink.report_rate_hz <= fastest_hz,
          f"datalink.report_rate_hz: 55-byte frames at {s.datalink.rate_baud} bits per second go at most "
          f"{fastest_hz:.1f} hertz"),
+        (all(0 <= c.at_s <= s.timeout_s for c in s.commands), "commands: at_s must be in 0..timeout_s seconds"),
         (0 < s.criteria.in_window_fraction <= 1, "criteria.in_window_fraction: must be in 0..1"),
     ]
     for holds, text in rules:

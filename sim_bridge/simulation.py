@@ -21,6 +21,7 @@ from companion.io.datalink import encode_frame
 from companion.messages import CameraFrame
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
 from sim_bridge.datalink import SerialPacer
+from sim_bridge.operator import ScheduledOperator
 from sim_bridge.plant.world import World
 from sim_bridge.scenario import Scenario
 from sim_bridge.scene.camera_picture import CameraPicture
@@ -112,6 +113,7 @@ class Simulation:
         self._origin_altitude_m = setup.config.links.origin_altitude_m
         self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
         self._camera = Camera(setup, camera, executor)
+        self._operator = ScheduledOperator(setup.config.links, scenario.commands)
 
     @property
     def truth(self) -> Truth:
@@ -134,9 +136,8 @@ class Simulation:
         if state is not None:
             self._serial.write(encode_frame(state, self._origin_altitude_m), t_ns)
         self._camera.expose(truth)
-        arrivals = Arrivals(
-            t_ns, self.autopilot.outgoing(t_ns), self._serial.due(t_ns), self._camera.delivered(t_ns)
-        )
+        mavlink = self.autopilot.outgoing(t_ns) + self._operator.due(t_ns)
+        arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), self._camera.delivered(t_ns))
         self.world.step(effectors)
         return arrivals
 

@@ -3,8 +3,9 @@
 Rules
 -----
 * Telemetry counts only from ``links.system_id``/``links.autopilot_component_id``; commands from the vehicle's own
-  system or ``links.gcs_system_id``, addressed to our component: MAV_CMD_USER_1 engage, USER_2 breakaway, USER_3 clear.
-  Every command addressed to us is acknowledged; what is addressed elsewhere is left alone.
+  system or ``links.gcs_system_id``, addressed to our component: MAV_CMD_USER_1 engage, USER_2 breakaway, USER_3 clear,
+  USER_4 real vision, USER_5 simulated vision (``telemetry.COMMANDS``). Every command addressed to us is acknowledged;
+  what is addressed elsewhere is left alone.
 * Stamps of the autopilot's clock (milliseconds since boot) are brought to the companion's base with the offset that
   TIMESYNC gives; before that, telemetry with a stamp is rejected as ``no_timesync``.
 * A setpoint that is not finite or not in range never leaves.

@@ -34,6 +34,8 @@ COMMANDS = {
     dialect.MAV_CMD_USER_1: Command.ENGAGE,
     dialect.MAV_CMD_USER_2: Command.BREAKAWAY,
     dialect.MAV_CMD_USER_3: Command.CLEAR,
+    dialect.MAV_CMD_USER_4: Command.REAL_VISION,
+    dialect.MAV_CMD_USER_5: Command.SIMULATED_VISION,
 }
 """What an operator sends as COMMAND_LONG to our component; the parameters are not used."""
 

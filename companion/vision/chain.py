@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from companion.config import CameraConfig, TankerConfig, VisionConfig
 from companion.geometry import SE3, Mat
-from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionOutput
+from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.detection import detect_markers
 from companion.vision.glsdc import solve_glsdc
@@ -36,6 +36,7 @@ class VisionChain:
     def __init__(self, camera: CameraConfig, tanker: TankerConfig, config: VisionConfig) -> None:
         self.camera = camera
         self.config = config
+        self.mode = VisionMode(config.mode)
         self.markers: Mat = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64).reshape(-1, 3)
         self.max_image_error = config.max_image_error_px / float(np.sqrt(camera.fx_px * camera.fy_px))
 
@@ -51,7 +52,7 @@ class VisionChain:
         else:
             predicted = project(self.camera, prior, self.markers)
             bad = self._complaint(frame)
-            if bad and self.config.mode == "rv":
+            if bad and self.mode is VisionMode.REAL:
                 found = "frame_size", bad
             else:
                 detections, labels = self._see(frame, predicted)
@@ -71,7 +72,7 @@ class VisionChain:
 
     def _see(self, frame: CameraFrame, predicted: Mat) -> tuple[Detections, NDArray[np.int64]]:
         """Return detections and labels: of the picture, or of the predicted markers themselves (thesis 4.2.5)."""
-        if self.config.mode == "sv":
+        if self.mode is VisionMode.SIMULATED:
             size = np.array([self.camera.width_px, self.camera.height_px])
             inside = ((predicted > -0.5) & (predicted < size - 0.5)).all(axis=1)
             labels = np.where(inside, np.cumsum(inside) - 1, -1)

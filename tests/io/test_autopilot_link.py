@@ -182,7 +182,9 @@ def command(number: int, target: tuple[int, int] = (1, 191)) -> Message:
 
 
 @pytest.mark.parametrize(
-    ("number", "expected"), [(31010, Command.ENGAGE), (31011, Command.BREAKAWAY), (31012, Command.CLEAR)]
+    ("number", "expected"),
+    [(31010, Command.ENGAGE), (31011, Command.BREAKAWAY), (31012, Command.CLEAR), (31013, Command.REAL_VISION),
+     (31014, Command.SIMULATED_VISION)],
 )
 def test_an_operators_commands_arrive_and_are_acknowledged(number: int, expected: Command):
     link = AutopilotLink(LinksConfig())

@@ -1,0 +1,22 @@
+"""The operator of a simulated flight: sends a scenario's commands when their time has come."""
+
+from __future__ import annotations
+
+from companion.config import LinksConfig
+from companion.io.operator import Operator
+from sim_bridge.scenario import TimedCommand
+
+
+class ScheduledOperator:
+    """Commands as the bytes that a ground station would put on the link."""
+
+    def __init__(self, links: LinksConfig, commands: tuple[TimedCommand, ...]) -> None:
+        self._operator = Operator(links)
+        self._pending = sorted(commands, key=lambda c: c.at_s)
+
+    def due(self, t_ns: int) -> bytes:
+        """Return the frames of what is due at ``t_ns`` and has not been sent."""
+        frames = b""
+        while self._pending and self._pending[0].at_s * 1e9 <= t_ns:
+            frames += self._operator.frame(self._pending.pop(0).command)
+        return frames
