@@ -42,6 +42,7 @@ from companion.messages import (
     Reject,
     RelativeState,
     Setpoint,
+    VisionModeChange,
     VisionOutput,
 )
 from companion.vision.camera import T_frd_cam
@@ -250,6 +251,10 @@ class _Draw:
         self.scene.columns("phase", times, rr.StateChange.columns(state=[c.new.value for c in changes]))
         self.scene.texts("log/phase", [(c.t_ns, "INFO", f"{c.old} -> {c.new}: {c.reason}") for c in changes])
 
+    def modes(self, changes: list[VisionModeChange]) -> None:
+        """Write switches of the vision's mode to the log."""
+        self.scene.texts("log/vision", [(c.t_ns, "INFO", f"vision {c.mode}") for c in changes])
+
     def rejects(self, rejects: list[Reject]) -> None:
         """Write rejects to the log, one of a kind per second."""
         rows = []
@@ -278,6 +283,7 @@ _DRAWERS: dict[type, Callable[[_Draw, list[Any]], None]] = {
     GuidanceOutput: _Draw.guidance,
     Setpoint: _Draw.setpoints,
     PhaseChange: _Draw.phases,
+    VisionModeChange: _Draw.modes,
     Reject: _Draw.rejects,
     tuple: _Draw.latencies,
 }

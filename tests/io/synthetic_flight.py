@@ -37,6 +37,8 @@ from companion.messages import (
     Setpoint,
     TankerState,
     Tick,
+    VisionMode,
+    VisionModeChange,
     VisionOutput,
 )
 from companion.vision.camera import T_frd_cam, project
@@ -134,6 +136,8 @@ def messages(setup: Setup, duration_s: float) -> Iterator[tuple[str, Event | Out
         if k % 4 == 0:
             T = flight.tanker(t)
             yield "in", TankerState(t_ns, T.t, flight.R_ned_mrf @ [SPEED_M_S, 0.0, 0.0], T.R, np.zeros(3))
+        if k == 50:
+            yield "out", VisionModeChange(t_ns, VisionMode.SIMULATED)
         if k % 310 == 0:
             yield "out", Reject(t_ns, "datalink", "checksum", "frame of 55 bytes")
 

@@ -77,6 +77,10 @@ def test_the_window_is_drawn_from_the_first_to_the_last_instant(drawn: Columns) 
             assert (min(seconds(line)), max(seconds(line))) == pytest.approx((0.0, SECONDS - 0.02))
 
 
+def test_a_switch_of_the_vision_is_in_the_log(drawn: Columns) -> None:
+    assert (drawn["/log/vision"]["text"], seconds(drawn["/log/vision"])) == ([["vision sv"]], [0.5])
+
+
 def test_the_receiver_is_drawn_where_it_is_from_the_tanker(drawn: Columns) -> None:
     flight = Flight(synthetic_setup())
     R_mrf_ned = rotation_from_euler(HEADING, 0.0, 0.0).T
