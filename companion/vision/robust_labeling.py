@@ -1,0 +1,273 @@
+"""Labels that are verified: which detection is which marker, when any of them may be missing or false.
+
+Rules
+-----
+* A marker may have no detection and a detection may be no marker. A set of labels counts only when one pose explains
+  all of it, when it is far likelier than chance, and when no other set comes near it.
+* First the assignment at the prior, gated by its covariance: in most frames it is right, and cheap to verify. Where it
+  does not settle the matter, every pair of markers votes with every pair of detections, with the attitude of the prior
+  and a position that may be metres off (``consensus``).
+* What cannot be told is left out: a label with a rival as near, and a label that the others do not foretell closely.
+* Not verified means no labels at all: -1 throughout, and a ``reason``.
+
+================= ====================================================================================================
+reason            meaning
+================= ====================================================================================================
+``prior``         the prior or its covariance is not finite, or the covariance is not positive definite
+``no_detections`` no detection is finite
+``few_agree``     fewer than ``min_agree`` labels agree on a pose, or not clearly more than chance would bring
+``ambiguous``     another set of labels explains the detections as well, and too few labels are common to both
+``too_many``      more detections than the search without an attitude can go through (``reacquisition``)
+================= ====================================================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from companion.config import LabelingConfig
+from companion.geometry import SE3, Mat, Vec
+from companion.vision.consensus import settle_all, vote
+from companion.vision.label_kernel import first_labels, settle
+from companion.vision.pose_fit import LOG_2PI, Ints
+
+SMALLEST = 1e-12
+"""Added to the variances of a prior, in m^2 and rad^2, so that one known exactly has an information matrix."""
+
+CANDIDATES = 16
+"""Sets of labels of the vote that are looked at closely."""
+
+GATED_OUT = 1e6
+"""Cost of a pair outside the gate, for the assignment."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labels:
+    """Outcome of a labeling.
+
+    ``labels`` (n,) index into the detections, -1 without one. ``T_cam_tanker`` the pose that explains them, ``cov``
+    (6, 6) its covariance (translation in m, rotation in rad, camera axes, left perturbation); the prior's when not
+    verified. ``agreed`` how many labels; ``contested`` how many were left out because another detection fits as well.
+    ``score`` log of how much likelier than chance; ``margin`` what is between it and the best set of labels that
+    contradicts it, infinite when none was found. ``searched`` whether the prior's assignment was not enough.
+    """
+
+    labels: Ints
+    T_cam_tanker: SE3
+    cov: Mat
+    verified: bool
+    ambiguous: bool
+    reason: str
+    agreed: int
+    contested: int
+    score: float
+    margin: float
+    searched: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is labelled: finite markers (n, 3) and detections (m, 2), and where those stood in the input."""
+
+    points: Mat
+    rays: Mat
+    variance: Vec
+    gain: Vec
+    marker: Ints
+    detection: Ints
+    n_markers: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A set of labels with the pose that explains it."""
+
+    labels: Ints
+    T: SE3
+    cov: Mat
+    score: float
+    contested: int
+
+
+def label_robust(
+    points_tanker: Mat,
+    uv: Mat,
+    sigma: Vec,
+    prior_T_cam_tanker: SE3,
+    cov_prior: Mat,
+    config: LabelingConfig,
+    weight: Vec | None = None,
+) -> Labels:
+    """Label markers (n, 3), m, tanker axes, with detections uv (m, 2) on the plane z = 1, or say that it cannot be.
+
+    ``sigma`` (m,) standard deviation per axis of the detections on z = 1. ``cov_prior`` (6, 6) covariance of the prior:
+    translation in m, then rotation in rad, along camera axes; R = exp(rotation) R_prior, t = t_prior + translation. Its
+    translation may be wrong by several ``config.gross_sigma_m``; its rotation is taken to be what it says.
+    ``weight`` (m,) in 0..1: how much like a light a detection looks; zero does not count.
+
+    Raises ValueError for wrong shapes only; numbers that are not finite are markers or detections that do not count.
+    """
+    scene = scene_of(points_tanker, uv, sigma, config, weight)
+    limits = limits_of(config)
+    priors = priors_of(prior_T_cam_tanker, cov_prior, config)
+    if priors is None:
+        return refused(scene, prior_T_cam_tanker, np.full((6, 6), np.nan), "prior")
+    if len(scene.rays) == 0:
+        return refused(scene, prior_T_cam_tanker, cov_prior, "no_detections")
+    first, sure = at_the_prior(scene, prior_T_cam_tanker, cov_prior, priors, limits, config)
+    if sure:
+        return conclude(scene, [first], prior_T_cam_tanker, cov_prior, config, searched=False)
+    sigma_rad = float(np.sqrt(np.trace(cov_prior[3:, 3:]) / 3.0))
+    reach_m = config.gate_sigma * config.gross_sigma_m
+    found = by_consensus(scene, prior_T_cam_tanker, priors, limits, config, (reach_m, sigma_rad, config.max_range_m))
+    return conclude(scene, [first, *found], prior_T_cam_tanker, cov_prior, config, searched=True)
+
+
+def scene_of(points_tanker: Mat, uv: Mat, sigma: Vec, config: LabelingConfig, weight: Vec | None) -> Scene:
+    """Check shapes and leave out what is not finite."""
+    points = np.ascontiguousarray(points_tanker, dtype=np.float64)
+    rays = np.ascontiguousarray(uv, dtype=np.float64)
+    noise = np.ascontiguousarray(sigma, dtype=np.float64)
+    like = np.ones(len(rays)) if weight is None else np.ascontiguousarray(weight, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or rays.ndim != 2 or rays.shape[1] != 2:
+        msg = f"points_tanker must be (n, 3) and uv (m, 2), not {points.shape} and {rays.shape}"
+        raise ValueError(msg)
+    if noise.shape != (len(rays),) or like.shape != (len(rays),):
+        msg = f"sigma and weight must be ({len(rays)},) like uv, not {noise.shape} and {like.shape}"
+        raise ValueError(msg)
+    marker, detection = np.arange(len(points)), np.arange(len(rays))
+    # One sum tells, in the usual frame, that nothing has to be left out.
+    if not np.isfinite(points.sum()):
+        marker = np.flatnonzero(np.isfinite(points).all(axis=1))
+        points = points[marker]
+    if not (np.isfinite(rays.sum() + noise.sum() + like.sum()) and (len(rays) == 0 or min(noise.min(), like.min()) > 0)):
+        detection = np.flatnonzero(np.isfinite(rays).all(axis=1) & np.isfinite(noise) & (noise > 0) & (like > 0))
+        rays, noise, like = rays[detection], noise[detection], like[detection]
+    odds = config.detection_probability / ((1.0 - config.detection_probability) * config.false_density)
+    return Scene(points, rays, noise * noise, np.log(odds * like), marker, detection, len(points_tanker))
+
+
+def limits_of(config: LabelingConfig) -> Vec:
+    """Return the limits of ``label_kernel`` in sigmas."""
+    return np.array([config.gate_sigma, config.rival_sigma, config.widest_sigma])
+
+
+def priors_of(prior: SE3, cov_prior: Mat, config: LabelingConfig) -> tuple[Mat, Vec] | None:
+    """Return the information matrices (2, 6, 6) and log densities (2,) of the prior as it is and grossly wrong."""
+    cov = np.asarray(cov_prior, dtype=np.float64)
+    if cov.shape != (6, 6) or prior.R.shape != (3, 3) or prior.t.shape != (3,):
+        msg = f"the prior must be R (3, 3), t (3,) with a covariance (6, 6), not {cov.shape}"
+        raise ValueError(msg)
+    if not np.isfinite(cov.sum() + prior.R.sum() + prior.t.sum()):
+        return None
+    both = np.zeros((2, 6, 6))
+    both[:, range(6), range(6)] = SMALLEST
+    both[0] += cov
+    both[1, 3:, 3:] += cov[3:, 3:]
+    both[1, range(3), range(3)] += config.gross_sigma_m**2
+    try:
+        factors = np.linalg.cholesky(both)
+    except np.linalg.LinAlgError:
+        return None
+    inverse = np.linalg.inv(factors)
+    log_det = 2.0 * np.log(factors[:, range(6), range(6)]).sum(axis=1)
+    kind = np.log([1.0 - config.gross_probability, config.gross_probability])
+    return np.ascontiguousarray(inverse.transpose(0, 2, 1) @ inverse), kind - 0.5 * (6.0 * LOG_2PI + log_det)
+
+
+def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], limits: Vec,
+                 config: LabelingConfig) -> tuple[Candidate, bool]:
+    """Assign at the prior and settle; and say whether no search is needed.
+
+    It is not when every marker has its label or every detection is one: a set of labels that contradicts this one could
+    then not be larger, only an accident of the same size with a prior that is grossly wrong.
+    """
+    n, m = len(scene.points), len(scene.rays)
+    labels = np.empty(n, dtype=np.int64)
+    R0, t0 = np.ascontiguousarray(prior.R), np.ascontiguousarray(prior.t)
+    plain, squared, log_det = first_labels(
+        scene.points, scene.rays, scene.variance, config.map_sigma_m, R0, t0, np.ascontiguousarray(cov, np.float64),
+        limits[0], labels)
+    if not plain:
+        labels = assign(squared, log_det, scene.gain)
+    d, R, t, P = np.zeros(6), np.empty((3, 3)), np.empty(3), np.empty((6, 6))
+    score, rivals = settle(scene.points, scene.rays, scene.variance, config.map_sigma_m, R0, t0, *priors, 0, scene.gain,
+                           limits, labels, d, R, t, P)
+    agreed = int(np.count_nonzero(labels >= 0))
+    sure = agreed >= max(config.min_agree + 1, min(n, m)) and score > config.min_score
+    return Candidate(labels, SE3(R, t), P, score, rivals), sure
+
+
+def assign(squared: Mat, log_det: Vec, gain: Vec) -> Ints:
+    """Return the labels of least total cost, where a marker may go without (a null column each)."""
+    n, m = squared.shape
+    cost = np.zeros((n, m + n))
+    cost[:, :m] = np.where(np.isfinite(squared), 0.5 * (squared + log_det[:, None]) + LOG_2PI - gain[None], GATED_OUT)
+    columns = linear_sum_assignment(cost)[1]
+    return np.where(columns < m, columns, -1)
+
+
+def by_consensus(scene: Scene, prior: SE3, priors: tuple[Mat, Vec], limits: Vec, config: LabelingConfig,
+                 reach: tuple[float, float, float]) -> list[Candidate]:
+    """Return the sets of labels that pairs of markers voted for, settled; ``reach`` in m, rad, m of range."""
+    n = len(scene.points)
+    R0, t0 = np.ascontiguousarray(prior.R), np.ascontiguousarray(prior.t)
+    votes, t, labels = np.zeros(CANDIDATES), np.zeros((CANDIDATES, 3)), np.full((CANDIDATES, n), -1)
+    reach_m, sigma_rad, range_m = reach
+    vote(scene.points, scene.rays, scene.variance, R0, t0, reach_m, sigma_rad, range_m, config.min_agree, votes, t,
+         labels)
+    order = np.argsort(-votes, kind="stable")
+    order = order[votes[order] > 0.0]
+    starts = np.zeros((len(order), 6))
+    starts[:, :3] = t[order] - t0
+    return settled(scene, prior, priors, limits, config, starts, labels[order])
+
+
+def settled(scene: Scene, origin: SE3, priors: tuple[Mat, Vec], limits: Vec, config: LabelingConfig, starts: Mat,
+            labels: Ints) -> list[Candidate]:
+    """Settle candidates from deviations (k, 6) and labels (k, n), with the prior that may be grossly wrong."""
+    k = len(starts)
+    d, R, t, P = np.empty((k, 6)), np.empty((k, 3, 3)), np.empty((k, 3)), np.empty((k, 6, 6))
+    scores, rivals = np.empty(k), np.zeros(k, dtype=np.int64)
+    settle_all(scene.points, scene.rays, scene.variance, config.map_sigma_m, np.ascontiguousarray(origin.R),
+               np.ascontiguousarray(origin.t), *priors, scene.gain, limits, starts, labels, d, R, t, P, scores, rivals)
+    return [Candidate(labels[i], SE3(R[i], t[i]), P[i], scores[i], rivals[i]) for i in range(k)]
+
+
+def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, config: LabelingConfig, *,
+             searched: bool) -> Labels:
+    """Take the best set of labels if it is good enough and clearly better than those that contradict it."""
+    best = max(found, key=lambda c: c.score)
+    labels, margin = best.labels, np.inf
+    for other in found:
+        if other is not best and contradicts(best.labels, other.labels):
+            margin = min(margin, best.score - other.score)
+            if best.score - other.score < config.min_margin:
+                labels = np.where(labels == other.labels, labels, -1)
+    agreed = int(np.count_nonzero(labels >= 0))
+    enough = config.min_agree
+    if np.count_nonzero(best.labels >= 0) < enough or not best.score > config.min_score:
+        return refused(scene, prior, cov_prior, "few_agree", searched=searched)
+    if agreed < enough:
+        return refused(scene, prior, cov_prior, "ambiguous", searched=searched)
+    full = np.full(scene.n_markers, -1, dtype=np.int64)
+    full[scene.marker] = np.where(labels >= 0, scene.detection[labels], -1)
+    return Labels(full, best.T, best.cov, True, False, "", agreed, int(best.contested), best.score, margin, searched)
+
+
+def contradicts(a: Ints, b: Ints) -> bool:
+    """Say whether two sets of labels give a marker two detections, or a detection two markers."""
+    both = (a >= 0) & (b >= 0)
+    if bool(np.any(a[both] != b[both])):
+        return True
+    place = {int(j): i for i, j in enumerate(a) if j >= 0}
+    return any(place.get(int(j), i) != i for i, j in enumerate(b) if j >= 0)
+
+
+def refused(scene: Scene, prior: SE3, cov: Mat, reason: str, *, searched: bool = False) -> Labels:
+    """Return that nothing is labelled, and why."""
+    none = np.full(scene.n_markers, -1, dtype=np.int64)
+    return Labels(none, prior, cov, False, reason == "ambiguous", reason, 0, 0, -np.inf, 0.0, searched)
