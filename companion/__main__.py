@@ -17,6 +17,7 @@ import msgspec
 from companion import __version__, app
 from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
 from companion.config import CompanionConfig, ConfigError, LinksConfig, assemble, load
+from companion.config.calibration import R_IMU_FRD, camera_toml, read_calibration
 from companion.io.operator import send_command
 from companion.io.recorder import newest_run
 from companion.io.rerun_view import open_viewer, screenshot
@@ -57,6 +58,13 @@ def parser() -> argparse.ArgumentParser:
                          help=", ".join(c.value for c in Command))
     command.add_argument("--mavlink", metavar="URL", default="udpout:127.0.0.1:14540", help="where it listens")
     command.set_defaults(action=_command)
+
+    camera = commands.add_parser("camera", help="print a camera TOML made of a ROS or Kalibr calibration")
+    camera.add_argument("calibration", metavar="FILE.yaml", help="ROS camera_info or Kalibr camchain")
+    camera.add_argument("--cam", metavar="NAME", help="which camera of a Kalibr chain, e.g. cam0")
+    camera.add_argument("--imu", choices=tuple(R_IMU_FRD),
+                        help="mount from T_cam_imu, of an IMU along the body axes: forward right down, or left up")
+    camera.set_defaults(action=_camera)
 
     view = commands.add_parser("view", help="open a recording in the Rerun viewer")
     view.add_argument("run", nargs="?", metavar="RUN_DIR", help="a run folder; without it the newest of runs/")
@@ -104,6 +112,11 @@ def _command(a: argparse.Namespace) -> int:
     result = send_command(a.mavlink, Command(a.name), LinksConfig())
     print(f"{a.name}: {result}")
     return 0 if result == "accepted" else REFUSED
+
+
+def _camera(a: argparse.Namespace) -> int:
+    print(camera_toml(read_calibration(Path(a.calibration), a.cam), a.imu), end="")
+    return 0
 
 
 def _view(a: argparse.Namespace) -> int:

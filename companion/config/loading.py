@@ -1,6 +1,6 @@
 """From TOML files to configuration: a wrong file is answered with one line that names file, field and unit.
 
-Files named inside a file (``camera``, ``tanker``, ``airframe``) are relative to that file.
+Files named inside a file (``camera``, ``tanker``, ``airframe``, ``calibration``) are relative to that file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,16 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from companion.config.rules import airframe_rules, camera_rules, companion_rules, enough_markers, tanker_rules
+from companion.config.calibration import CALIBRATION_KEYS, SUFFIXES, with_calibration
+from companion.config.errors import ConfigError
+from companion.config.rules import (
+    airframe_rules,
+    camera_rules,
+    companion_rules,
+    enough_detections,
+    enough_markers,
+    tanker_rules,
+)
 from companion.config.structures import AirframeConfig, CameraConfig, CompanionConfig, Setup, TankerConfig
 
 UNITS = {
@@ -33,16 +42,16 @@ UNITS = {
 }
 
 
-class ConfigError(ValueError):
-    """A configuration that cannot be used; its text is one line for people."""
-
-
 T = TypeVar("T")
 
 
 def load(path: Path | str, kind: type[T]) -> T:
     """Load one TOML file as ``kind``; raises ConfigError with one line that says what to mend."""
     path = Path(path)
+    if kind is CameraConfig and path.suffix in SUFFIXES:
+        msg = (f"{path}: a calibration knows neither mount nor rate; name a camera TOML in which calibration = "
+               f'"{path.name}" stands (`companion camera {path}` prints one)')
+        raise ConfigError(msg)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -54,7 +63,7 @@ def load(path: Path | str, kind: type[T]) -> T:
     except tomllib.TOMLDecodeError as error:
         msg = f"{path}: not valid TOML: {error}"
         raise ConfigError(msg) from None
-    return convert(raw, kind, str(path))
+    return convert(with_calibration(raw, path) if kind is CameraConfig else raw, kind, str(path))
 
 
 def convert(raw: dict[str, Any], kind: type[T], name: str) -> T:
@@ -77,7 +86,8 @@ def explain(error: str, kind: type, name: str) -> str:
     unknown = re.search(r"unknown field `(.*?)`", error)
     if unknown:
         key = unknown.group(1)
-        near = difflib.get_close_matches(key, all_field_names(kind), n=1)
+        names = [*all_field_names(kind), *(CALIBRATION_KEYS if kind is CameraConfig else ())]
+        near = difflib.get_close_matches(key, names, n=1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         return f"{name}: unknown key '{f'{field}.' if field else ''}{key}'{hint}"
     what = error.split(" - at ", maxsplit=1)[0]
@@ -133,7 +143,7 @@ def assemble(config: CompanionConfig, path: Path) -> Setup:
         airframe=load(folder / config.airframe, AirframeConfig),
     )
     for file, rules in (
-        (path, companion_rules(config)),
+        (path, [*companion_rules(config), enough_detections(config, setup.tanker)]),
         (folder / config.camera, camera_rules(setup.camera)),
         (folder / config.tanker, [*tanker_rules(setup.tanker), enough_markers(config, setup.tanker)]),
         (folder / config.airframe, airframe_rules(setup.airframe)),

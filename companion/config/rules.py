@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import msgspec
+import numpy as np
 
 from companion.config.structures import AirframeConfig, CameraConfig, CompanionConfig, TankerConfig
 
@@ -18,25 +20,74 @@ def enough_markers(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
     return most <= len(t.markers), f"min_markers {most}, and the tanker has {len(t.markers)} markers"
 
 
+def enough_detections(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
+    """Return that every light of the tanker may be detected."""
+    most, n = c.vision.detection.max_detections, len(t.markers)
+    return n <= most, f"vision.detection.max_detections {most}, and the tanker has {n} markers"
+
+
+COEFFICIENTS = {
+    "plumb_bob": "5 numbers (k1, k2, p1, p2, k3)",
+    "rational_polynomial": "8 numbers (k1, k2, p1, p2, k3, k4, k5, k6)",
+    "equidistant": "4 numbers (k1, k2, k3, k4)",
+}
+"""What ``distortion`` holds for each ``distortion_model``."""
+
+
 def camera_rules(c: CameraConfig) -> Rules:
     """Return what has to hold of a camera."""
     turns = max(abs(c.mount_yaw_rad), abs(c.mount_pitch_rad), abs(c.mount_roll_rad))
+    wanted = COEFFICIENTS[c.distortion_model]
     return [
         (c.width_px >= 16 and c.height_px >= 16, "width_px and height_px must be at least 16"),
         (c.fx_px > 0 and c.fy_px > 0, "fx_px and fy_px must be positive"),
         (0 < c.rate_hz <= 1000, "rate_hz must be in 0..1000 hertz"),
         (c.latency_s >= 0 and c.exposure_s >= 0, "latency_s and exposure_s must not be negative"),
+        (len(c.distortion) == int(wanted[0]),
+         f"distortion of {c.distortion_model} must be {wanted}, not {len(c.distortion)}"),
         (turns <= math.pi, "mount_yaw_rad, mount_pitch_rad, mount_roll_rad must be within pi (radians, not degrees)"),
     ]
 
 
+FARTHEST_M = 500.0
+"""Farther from the centre of mass no marker can be."""
+
+
+def nearest_markers(t: TankerConfig) -> tuple[float, str]:
+    """Return the least distance in m between two markers, and which two they are."""
+    pairs = [
+        (math.dist(a.p_tanker_m, b.p_tanker_m), f"{a.id} and {b.id}") for a, b in itertools.combinations(t.markers, 2)
+    ]
+    return min(pairs, default=(math.inf, ""))
+
+
+def width_off_a_line_m(t: TankerConfig) -> float:
+    """Return how far, root mean square, the markers are from the line that fits them best."""
+    p = np.array([m.p_tanker_m for m in t.markers], dtype=np.float64).reshape(-1, 3).clip(-FARTHEST_M, FARTHEST_M)
+    if len(p) < 2:
+        return 0.0
+    spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
+    return float(np.sqrt(np.sum(spread[1:] ** 2) / len(p)))
+
+
 def tanker_rules(t: TankerConfig) -> Rules:
-    """Return what has to hold of a tanker."""
+    """Return what has to hold of a tanker.
+
+    Markers that all lie in one plane are let through: they fix a pose, though a second one fits nearly as well from
+    far away, and choosing between the two is the vision chain's task.
+    """
+    nearest_m, which = nearest_markers(t)
+    far = max((abs(v) for m in t.markers for v in m.p_tanker_m), default=0.0)
     window = all(0 < d <= m for d, m in zip(t.window.desired_m, t.window.limit_m, strict=True))
     return [
         (len(t.markers) >= 4, "at least 4 markers are needed for a pose"),
         (len({m.id for m in t.markers}) == len(t.markers), "two markers have the same id"),
         (t.marker_radius_m > 0, "marker_radius_m must be positive"),
+        (far <= FARTHEST_M, f"p_tanker_m must be within {FARTHEST_M:.0f} m (metres, not millimetres)"),
+        (nearest_m > 2 * t.marker_radius_m,
+         f"markers {which} are {nearest_m:.2f} m apart and run into one light; keep two radii between p_tanker_m"),
+        (width_off_a_line_m(t) > t.marker_radius_m,
+         "all markers lie on one line, about which no pose is fixed; move one away from it"),
         (window, "window.desired_m must be positive and lie inside window.limit_m"),
     ]
 
@@ -77,6 +128,11 @@ def companion_rules(c: CompanionConfig) -> Rules:
          "guidance.weights: roll, pitch and thrust must be positive"),
         (c.vision.tol > 0 and c.vision.epsilon > 0, "vision: tol and epsilon must be positive"),
         (c.vision.max_image_error_px > 0, "vision.max_image_error_px must be positive pixels"),
+        (min(c.vision.sigma_px, c.vision.ins_sigma_rad, c.vision.max_sigma_m) > 0,
+         "vision: sigma_px, ins_sigma_rad and max_sigma_m must be positive pixels, radians and metres"),
+        (2 <= c.vision.min_markers_ins <= c.vision.min_markers,
+         "vision.min_markers_ins must be at least 2 and no more than vision.min_markers"),
+        (0 < c.vision.residual_probability < 0.5, "vision.residual_probability must be in 0..0.5"),
         (c.vision.labeling.max_distance_px > 0, "vision.labeling.max_distance_px must be positive pixels"),
         (min(c.vision.labeling.prior_sigma_m, c.vision.labeling.prior_sigma_rad) > 0,
          "vision.labeling: prior_sigma_m and prior_sigma_rad must be positive metres and radians"),

@@ -16,14 +16,20 @@ class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 Vec3 = tuple[float, float, float]
+DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True):
-    """Pinhole camera with Brown distortion, and its place on the receiver.
+    """Pinhole camera behind a lens, and its place on the receiver.
 
-    ``distortion`` k1, k2, p1, p2, k3 of OpenCV. ``p_frd_cam_m`` is the centre of projection in receiver body axes;
-    ``mount_*`` turn body axes to the thesis' camera axes (forward, right, down), yaw, pitch, roll in that order.
-    ``exposure_s`` and ``latency_s``: how long one picture integrates, and from mid-exposure to delivery.
+    ``distortion`` in the order of ROS and OpenCV: k1, k2, p1, p2, k3 of ``plumb_bob``, with k4, k5, k6 behind them of
+    ``rational_polynomial``, or k1, k2, k3, k4 of ``equidistant`` (fisheye). Pictures are as the sensor gives them, not
+    rectified. A file may say ``calibration`` (and ``calibration_camera``) in place of everything from ``width_px`` to
+    ``cy_px`` and the distortion: see ``companion.config.calibration``.
+
+    ``p_frd_cam_m`` is the centre of projection in receiver body axes; ``mount_*`` turn body axes to the thesis'
+    camera axes (forward, right, down), yaw, pitch, roll in that order. ``exposure_s`` and ``latency_s``: how long one
+    picture integrates, and from mid-exposure to delivery.
     """
 
     name: str
@@ -38,7 +44,8 @@ class CameraConfig(Struct, frozen=True, kw_only=True):
     mount_yaw_rad: float = 0.0
     mount_pitch_rad: float = 0.0
     mount_roll_rad: float = 0.0
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion_model: DistortionModel = "plumb_bob"
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     exposure_s: float = 0.0
     latency_s: float = 0.02
 
@@ -92,18 +99,49 @@ class DetectionConfig(Struct, frozen=True, kw_only=True):
 class LabelingConfig(Struct, frozen=True, kw_only=True):
     """Which detection is which marker: the thesis' mutual nearest neighbour (4.2.4), or labels that are verified.
 
+    ``max_distance_px`` bounds a pair of mutual nearest neighbours. The rest is for ``robust``:
+
     ``prior_sigma_m`` and ``prior_sigma_rad``: standard deviation per axis of the prior's translation and rotation.
-    ``max_distance_px`` bounds a pair of mutual nearest neighbours.
+    ``gross_probability``: how often the prior's translation is not that good; it is then within ``gross_sigma_m``.
+    ``map_sigma_m``: how well the markers' places on the tanker are known, per axis.
+    ``detection_probability``: that of a marker being detected; ``false_density``: false detections to reckon with per
+    unit of area on the plane z = 1, where a picture 70 degrees wide has 1.5.
+    ``gate_sigma``: a label fits within so many sigmas of where the others put it; ``rival_sigma``: and counts if no
+    other detection is within so many; ``widest_sigma``: and if the others put it to within so many sigmas of its own noise.
+    ``min_agree`` labels at least; ``min_score``: log of how much likelier than chance they are; ``min_margin``: log of
+    how much likelier than any that contradict them. ``max_range_m``: no marker is looked for farther away.
+    ``min_agree_blind``: labels at least when neither position nor attitude is known.
     """
 
     method: Literal["mutual_nearest", "robust"] = "mutual_nearest"
     max_distance_px: float = 40.0
     prior_sigma_m: float = 1.0
     prior_sigma_rad: float = 0.02
+    gross_probability: float = 0.01
+    gross_sigma_m: float = 3.0
+    map_sigma_m: float = 0.01
+    detection_probability: float = 0.7
+    false_density: float = 20.0
+    gate_sigma: float = 3.3
+    rival_sigma: float = 6.0
+    widest_sigma: float = 3.0
+    min_agree: int = 4
+    min_score: float = 20.0
+    min_margin: float = 10.0
+    max_range_m: float = 150.0
+    min_agree_blind: int = 6
 
 
 class VisionConfig(Struct, frozen=True, kw_only=True):
-    """Labeling and pose. ``mode`` rv uses the picture, sv the projected markers (thesis 4.2.5)."""
+    """Labeling and pose. ``mode`` rv uses the picture, sv the projected markers (thesis 4.2.5).
+
+    ``refine`` follows the solver by maximum likelihood (``companion.vision.refinement``) and gives a covariance, for
+    centroids of ``sigma_px`` standard deviation per axis: a floor that has calibration and marker map in it too (a
+    marker 1 cm off its place is 0.2 px at 23 m). ``ins_attitude``: whether the relative attitude of the two INS, known
+    to ``ins_sigma_rad`` per axis, is a measurement in it never, with fewer than ``min_markers`` or always; it takes
+    ``min_markers_ins`` markers then. A pose is rejected when its position is known worse than ``max_sigma_m``, or when
+    markers fit it worse than noise makes them with ``residual_probability``.
+    """
 
     solver: Literal["lhm", "glsdc"] = "lhm"
     mode: Literal["rv", "sv"] = "rv"
@@ -113,6 +151,13 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
     glsdc_iterations: int = 4
     min_markers: int = 5
     max_image_error_px: float = 3.0
+    refine: bool = True
+    sigma_px: float = 0.3
+    ins_attitude: Literal["never", "few", "always"] = "always"
+    ins_sigma_rad: float = 0.01
+    min_markers_ins: int = 2
+    max_sigma_m: float = 1.0
+    residual_probability: float = 1e-6
     detection: DetectionConfig = DetectionConfig()
     labeling: LabelingConfig = LabelingConfig()
 

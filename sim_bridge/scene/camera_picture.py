@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from companion.config import CameraConfig, ConfigError, TankerConfig
 from companion.geometry import SE3, Mat, Vec
-from companion.vision.camera import T_frd_cam, normalised_to_pixels, pixels_to_normalised
+from companion.vision.camera import T_frd_cam, bends, normalised_to_pixels, pixels_to_normalised
 from sim_bridge.scene import lights, tiles
 from sim_bridge.scene import rasterizer as kernels
 from sim_bridge.scene.ambient import shade_recesses
@@ -79,7 +79,7 @@ class Pinhole:
         self.width, self.height = camera.width_px, camera.height_px
         self.lens = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
         self.maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
-        if any(camera.distortion):
+        if bends(camera):
             self._widen(camera)
 
     def _widen(self, camera: CameraConfig) -> None:
