@@ -18,6 +18,8 @@ from companion.config import (
     load_setup,
 )
 from companion.config.loading import all_field_names, convert, unit_of
+from companion.config.rules import tanker_rules
+from companion.geometry import rotation_from_euler
 
 CAMERA: dict[str, Any] = {
     "name": "c", "width_px": 640, "height_px": 480, "rate_hz": 20.0, "fx_px": 457.0, "fy_px": 457.0,
@@ -170,8 +172,19 @@ def test_named_file_that_is_missing_is_told_by_its_path(tmp_path: Path, file: st
         ("camera", {"fx_px": -1.0}, "fx_px"),
         ("camera", {"rate_hz": 0.0}, "rate_hz"),
         ("camera", {"latency_s": -0.1}, "latency_s"),
+        ("camera", {"distortion": [0.0] * 4}, "distortion of plumb_bob must be 5 numbers (k1, k2, p1, p2, k3), not 4"),
+        ("camera", {"distortion_model": "equidistant"}, "distortion of equidistant must be 4 numbers"),
+        ("camera", {"distortion_model": "rational_polynomial"}, "distortion of rational_polynomial must be 8 numbers"),
         ("tanker", {"markers": TANKER["markers"][:3]}, "at least 4 markers"),
         ("tanker", {"markers": TANKER["markers"][:4] + TANKER["markers"][:1]}, "same id"),
+        ("tanker", {"markers": [*TANKER["markers"], {"id": 77, "p_tanker_m": [2.0, 2.1, 1.0]}]},
+         "markers 2 and 77 are 0.10 m apart and run into one light"),
+        ("tanker", {"markers": [{"id": i, "p_tanker_m": [5.0 * i, 1.0 - i, 0.5 * i]} for i in range(6)]},
+         "all markers lie on one line"),
+        ("tanker", {"markers": [{"id": i, "p_tanker_m": [1e300 * i, 1.0 * i * i, 0.5]} for i in range(6)]},
+         "within 500 m (metres, not millimetres)"),
+        ("tanker", {"markers": [{"id": i, "p_tanker_m": [1.0 * i, 1.0 * i * i, 0.5]} for i in range(9, 79)]},
+         "max_detections 64, and the tanker has 70 markers"),
         ("tanker", {"marker_radius_m": 0.0}, "marker_radius_m"),
         ("tanker", {"window": {"desired_m": [3.0, 1.0, 1.0]}}, "window.desired_m"),
         ("airframe", {"A": [[0.0] * 9] * 8}, "9 rows of 9"),
@@ -186,6 +199,18 @@ def test_value_that_cannot_be_is_refused_by_name(
     tmp_path: Path, file: str, change: dict[str, Any], words: str
 ) -> None:
     assert words in setup_refusal(tmp_path, **{file: change})
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.integers(2, 14), st.floats(0.5, 40.0))
+def test_markers_on_a_line_are_refused_however_it_lies(yaw: float, pitch: float, gaps: int, length: float) -> None:
+    """And one marker well off it makes a map of them; so does a plane."""
+    ahead = rotation_from_euler(yaw, pitch, 0.0)
+    line = [ahead[:, 0] * length * i / gaps - 0.3 for i in range(gaps + 1)]
+    for points, fixed in ((line, False), ([*line, line[0] + ahead[:, 2]], True)):
+        tanker = convert(TANKER | {"markers": [{"id": 3 * i, "p_tanker_m": p.tolist()} for i, p in enumerate(points)]},
+                         TankerConfig, "t.toml")
+        told = [text for holds, text in tanker_rules(tanker) if not holds]
+        assert any("on one line" in text for text in told) != fixed
 
 
 @pytest.mark.parametrize(

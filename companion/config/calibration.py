@@ -38,6 +38,9 @@ CALIBRATION_KEYS = ("calibration", "calibration_camera")
 GIVEN = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion_model", "distortion")
 """Keys of a camera TOML that a calibration takes the place of."""
 
+MOST_PIXELS = 1e5
+"""More than this across is a mistake."""
+
 KALIBR_MODELS: dict[str, DistortionModel] = {
     "radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidistant", "none": "plumb_bob",
 }
@@ -80,7 +83,7 @@ class Node:
 
     def fail(self, text: str) -> NoReturn:
         """Raise ConfigError with file, key and ``text``."""
-        msg = f"{self.file}: {self.key}{': ' if self.key else ''}{text}"
+        msg = f"{self.file}: {self.key}{': ' if self.key else ''}{' '.join(text.split())}"
         raise ConfigError(msg)
 
     def __getitem__(self, key: str) -> Node:
@@ -123,7 +126,7 @@ class Node:
     def pixels(self) -> int:
         """Return a whole positive number of pixels."""
         value = self.number()
-        if value != int(value) or value <= 0:
+        if value != int(value) or not 0 < value <= MOST_PIXELS:
             self.fail(f"must be a whole number of pixels, not {value:g}")
         return int(value)
 

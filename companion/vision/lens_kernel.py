@@ -21,7 +21,7 @@ from companion.geometry import Mat, Vec
 
 NEWTON_STEPS = 40
 SOLVED = 1e-10
-"""How closely, on z = 1, an inverse has to give its distorted point back."""
+"""How closely an inverse has to give its distorted point back, on z = 1 and relative to one plus its radius."""
 
 NEAR_AXIS = 1e-4
 """Up to this distance from the axis the arc tangent is a series, of which the next term is 2e-17."""
@@ -126,6 +126,6 @@ def undistort_points(fisheye: bool, k: Vec, reach_squared: float, target: Mat) -
             x -= (d * e - b * f) / determinant
             y -= (a * f - b * e) / determinant
         x_d, y_d, a, b, d = bend(fisheye, k, x, y)
-        if abs(x_d - u) + abs(y_d - v) < SOLVED and x * x + y * y < reach_squared and a * d - b * b > 0.0:
+        if abs(x_d - u) + abs(y_d - v) < SOLVED * (1.0 + r_d) and x * x + y * y < reach_squared and a * d - b * b > 0.0:
             out[i] = x, y
     return out
