@@ -119,11 +119,17 @@ Event = CameraFrame | OwnAttitude | OwnPosition | TankerState | AutopilotStatus 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """Marker candidates of one frame: centroids ``uv_px`` (m, 2), x right, y down, pixel centres at integers."""
+    """Marker candidates of one frame.
+
+    Centroids ``uv_px`` (m, 2), x right, y down, pixel centres at integers; ``area_px`` (m,) lit; ``sigma_px`` (m,)
+    standard deviation per axis; ``flags`` (m,) what is odd about them (``companion.vision.detection.Flag``).
+    """
 
     t_ns: int
     uv_px: Mat
     area_px: Vec
+    sigma_px: Vec
+    flags: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +137,9 @@ class PoseMeasurement:
     """Pose of the tanker in the camera from one frame (thesis ^C T_T).
 
     ``labels`` (n,) index into the frame's detections for each marker of the map, -1 where unlabelled;
-    ``object_error_m`` RMS object-space error; ``image_error`` RMS on the plane z = 1.
+    ``object_error_m`` RMS object-space error; ``image_error`` RMS on the plane z = 1. ``cov`` (6, 6) of (translation in
+    m, rotation in rad), camera axes: R_true = exp(rotation) R, t_true = t + translation.
+    ``alternative`` is a second pose that fits nearly as well, where there is one and no prior told them apart.
     """
 
     t_ns: int
@@ -141,6 +149,8 @@ class PoseMeasurement:
     iterations: int
     object_error_m: float
     image_error: float
+    cov: Mat
+    alternative: SE3 | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

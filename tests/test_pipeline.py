@@ -194,7 +194,7 @@ def test_a_picture_of_somewhere_else_gives_no_pose():
     near_by = PLACE + np.array([8.0, 0.0, -3.2])
     events = [picture(e.t_ns, e.sequence, near_by) if isinstance(e, CameraFrame) else e for e in flight(0.4)]
     outputs = run(events)
-    assert rejects(outputs) == {("vision", "image_error"): 4}
+    assert rejects(outputs) == {("vision", "residual"): 4}
     assert all(o.markers_used == 0 and o.vision_weight == 0.0 for o in outputs if isinstance(o, FusedPose))
 
 

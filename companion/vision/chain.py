@@ -8,10 +8,13 @@ reason                    meaning
 ========================= ============================================================================================
 ``frame_size``            the picture is not (height, width, 3) of the camera's configuration, or not uint8
 ``prior_not_finite``      the prior pose has a NaN or an infinity
-``few_markers``           fewer markers labelled than ``min_markers`` (thesis: 5 for LHM, 4 for GLSDC)
+``few_markers``           fewer markers labelled than ``min_markers`` (thesis: 5 for LHM, 4 for GLSDC), and than
+                          ``min_markers_ins`` where the attitude of the INS helps
+``labels``                the robust labeling did not verify its labels; the detail is its own reason
 ``degenerate``            the solver refuses: markers or rays that do not fix a pose, a prior that is no rotation
 ``not_converged``         the solver did not settle on a pose with all markers before the camera
-``image_error``           the RMS image error of the pose is above ``max_image_error_px``
+``image_error``           the RMS image error of a pose without refinement is above ``max_image_error_px``
+``residual``, ...         a refined pose does not stand the questions of ``companion.vision.quality``
 ========================= ============================================================================================
 """
 
@@ -25,42 +28,64 @@ from companion.geometry import SE3, Mat
 from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.detection import detect_markers
-from companion.vision.glsdc import solve_glsdc
 from companion.vision.labeling import label_mutual_nearest
-from companion.vision.lhm import rms_object_error, solve_lhm
+from companion.vision.pose import PoseEstimator, Refusal
+
+Ints = NDArray[np.int64]
 
 
 class VisionChain:
-    """Detection, labeling and pose for one camera and one tanker."""
+    """Detection, labeling and pose for one camera and one tanker. ``mode`` may be switched between two frames."""
 
     def __init__(self, camera: CameraConfig, tanker: TankerConfig, config: VisionConfig) -> None:
         self.camera = camera
         self.config = config
         self.mode = VisionMode(config.mode)
         self.markers: Mat = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64).reshape(-1, 3)
-        self.max_image_error = config.max_image_error_px / float(np.sqrt(camera.fx_px * camera.fy_px))
+        self._pose = PoseEstimator(camera, config, len(self.markers))
+        self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
+        labeling = config.labeling
+        self._cov_prior: Mat = np.diag([labeling.prior_sigma_m**2] * 3 + [labeling.prior_sigma_rad**2] * 3)
 
-    def process(self, frame: CameraFrame, prior_T_cam_tanker: SE3) -> VisionOutput:
-        """Return what ``frame`` shows, given about where the tanker is: T_cam_tanker from fusion (thesis 3.2)."""
+    def process(self, frame: CameraFrame, prior_T_cam_tanker: SE3 | None) -> VisionOutput:
+        """Return what ``frame`` shows, given about where the tanker is: T_cam_tanker from fusion (thesis 3.2).
+
+        None when nothing is known of where the tanker is: its lights are then searched for (``reacquire``).
+        """
         prior = prior_T_cam_tanker
-        predicted = np.full((len(self.markers), 2), np.nan)
-        detections = Detections(frame.t_ns, np.empty((0, 2)), np.empty(0))
-        labels = np.full(len(self.markers), -1, dtype=np.int64)
-        found: PoseMeasurement | tuple[str, str]
-        if not (np.isfinite(prior.R).all() and np.isfinite(prior.t).all()):
-            found = "prior_not_finite", ""
-        else:
-            predicted = project(self.camera, prior, self.markers)
-            bad = self._complaint(frame)
-            if bad and self.mode is VisionMode.REAL:
-                found = "frame_size", bad
-            else:
-                detections, labels = self._see(frame, predicted)
-                found = self._pose(detections, labels, prior)
-        if isinstance(found, PoseMeasurement):
-            return VisionOutput(frame.t_ns, frame.sequence, detections, predicted, found, None)
-        reject = Reject(frame.t_ns, "vision", *found)
-        return VisionOutput(frame.t_ns, frame.sequence, detections, predicted, None, reject)
+        if prior is not None and not (np.isfinite(prior.R).all() and np.isfinite(prior.t).all()):
+            return self._refused(frame, "prior_not_finite")
+        if self.mode is VisionMode.SIMULATED:
+            return self._simulated(frame, prior)
+        bad = self._complaint(frame)
+        if bad:
+            return self._refused(frame, "frame_size", bad, self._predicted(prior))
+        blobs = detect_markers(frame.image, self.config.detection)
+        m = len(blobs.uv_px)
+        detections = Detections(frame.t_ns, blobs.uv_px, blobs.area_px, np.zeros(m), np.zeros(m, dtype=np.uint8))
+        return self.measure(frame.sequence, detections, prior)
+
+    def measure(self, sequence: int, detections: Detections, prior: SE3 | None) -> VisionOutput:
+        """Label detections and solve for the pose: ``process`` without the picture."""
+        predicted = self._predicted(prior)
+        uv = pixels_to_normalised(self.camera, detections.uv_px)
+        sigma = np.hypot(detections.sigma_px, self.config.sigma_px) / self._focal_px
+        labels = self._label(predicted, uv, sigma, detections, prior)
+        if isinstance(labels, tuple):
+            return self._output(sequence, detections, predicted, labels)
+        return self._solved(sequence, detections, predicted, labels, uv, sigma, prior)
+
+    def _simulated(self, frame: CameraFrame, prior: SE3 | None) -> VisionOutput:
+        """Take the predicted markers themselves, those inside the picture, for what was seen (thesis 4.2.5)."""
+        predicted = self._predicted(prior)
+        size = np.array([self.camera.width_px, self.camera.height_px])
+        inside = ((predicted > -0.5) & (predicted < size - 0.5)).all(axis=1)
+        n = int(inside.sum())
+        labels = np.where(inside, np.cumsum(inside) - 1, -1)
+        detections = Detections(frame.t_ns, predicted[inside], np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.uint8))
+        uv = pixels_to_normalised(self.camera, detections.uv_px)
+        sigma = np.full(n, self.config.sigma_px / self._focal_px)
+        return self._solved(frame.sequence, detections, predicted, labels, uv, sigma, prior)
 
     def _complaint(self, frame: CameraFrame) -> str:
         """Say what is wrong with the picture, or nothing."""
@@ -70,43 +95,36 @@ class VisionChain:
             return ""
         return f"picture is {shape} {kind}, camera '{self.camera.name}' gives {wanted} uint8"
 
-    def _see(self, frame: CameraFrame, predicted: Mat) -> tuple[Detections, NDArray[np.int64]]:
-        """Return detections and labels: of the picture, or of the predicted markers themselves (thesis 4.2.5)."""
-        if self.mode is VisionMode.SIMULATED:
-            size = np.array([self.camera.width_px, self.camera.height_px])
-            inside = ((predicted > -0.5) & (predicted < size - 0.5)).all(axis=1)
-            labels = np.where(inside, np.cumsum(inside) - 1, -1)
-            return Detections(frame.t_ns, predicted[inside], np.zeros(inside.sum())), labels
-        blobs = detect_markers(frame.image, self.config.detection)
-        labels = label_mutual_nearest(predicted, blobs.uv_px, self.config.labeling.max_distance_px)
-        return Detections(frame.t_ns, blobs.uv_px, blobs.area_px), labels
+    def _predicted(self, prior: SE3 | None) -> Mat:
+        """Return where the markers are expected (n, 2) in px; NaN where they cannot be or nothing is known."""
+        if prior is None:
+            return np.full((len(self.markers), 2), np.nan)
+        return project(self.camera, prior, self.markers)
 
-    def _pose(
-        self, detections: Detections, labels: NDArray[np.int64], prior: SE3
-    ) -> PoseMeasurement | tuple[str, str]:
-        """Return the pose of the labelled markers, or reason and detail of why there is none."""
+    def _label(self, predicted: Mat, uv: Mat, sigma: Mat, detections: Detections, prior: SE3 | None) -> Ints | Refusal:
+        """Return which detection each marker is, by the thesis' rule or by the robust one; or why nothing is sure."""
+        config = self.config.labeling
+        return label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
+
+    def _solved(self, sequence: int, detections: Detections, predicted: Mat, labels: Ints, uv: Mat, sigma: Mat,
+                prior: SE3 | None) -> VisionOutput:
         used = np.flatnonzero(labels >= 0)
-        uv = pixels_to_normalised(self.camera, detections.uv_px[labels[used]])
-        reached = np.isfinite(uv).all(axis=1)  # a pixel beyond the reach of the distortion model has no ray
-        labels[used[~reached]] = -1
-        used, uv = used[reached], uv[reached]
-        if len(used) < self.config.min_markers:
-            return "few_markers", f"{len(used)} of {self.config.min_markers}"
-        try:
-            T, iterations, object_error, image_error, converged = self._solve(self.markers[used], uv, prior)
-        except ValueError as error:  # what the solvers say of markers that do not fix a pose
-            return "degenerate", str(error)
-        if not converged:
-            return "not_converged", f"{self.config.solver}, {iterations} iterations"
-        if not image_error <= self.max_image_error:
-            return "image_error", f"{image_error / self.max_image_error * self.config.max_image_error_px:.2f} px"
-        return PoseMeasurement(detections.t_ns, T, labels, len(used), iterations, object_error, image_error)
+        seen = labels[used]
+        found = self._pose.measure(self.markers[used], uv[seen], sigma[seen], prior)
+        if isinstance(found, tuple):
+            return self._output(sequence, detections, predicted, found)
+        pose = PoseMeasurement(
+            detections.t_ns, found.T_cam_tanker, labels, len(used), found.iterations, found.object_error_m,
+            found.image_error, found.cov, found.alternative,
+        )
+        return VisionOutput(detections.t_ns, sequence, detections, predicted, pose, None)
 
-    def _solve(self, points: Mat, uv: Mat, prior: SE3) -> tuple[SE3, int, float, float, bool]:
-        """Return pose, iterations, RMS object error in m, RMS image error on z = 1, and whether it converged."""
-        c = self.config
-        if c.solver == "lhm":
-            r = solve_lhm(points, uv, prior.R, c.tol, c.epsilon, c.method)
-            return r.T_cam_tanker, r.iterations, r.object_error, r.image_error, r.converged
-        g = solve_glsdc(points, uv, prior, c.glsdc_iterations)
-        return g.T_cam_tanker, g.iterations, rms_object_error(points, uv, g.T_cam_tanker), g.image_error, g.converged
+    def _output(self, sequence: int, detections: Detections, predicted: Mat, refusal: Refusal) -> VisionOutput:
+        reject = Reject(detections.t_ns, "vision", *refusal)
+        return VisionOutput(detections.t_ns, sequence, detections, predicted, None, reject)
+
+    def _refused(self, frame: CameraFrame, reason: str, detail: str = "", predicted: Mat | None = None) -> VisionOutput:
+        """Return that the frame was not looked at."""
+        nothing = Detections(frame.t_ns, np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, dtype=np.uint8))
+        return self._output(frame.sequence, nothing, self._predicted(None) if predicted is None else predicted,
+                            (reason, detail))

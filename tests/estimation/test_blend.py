@@ -38,7 +38,7 @@ def true_pose(t_ns, relative_m):
 
 
 def measurement(t_ns, T, markers=9):
-    return PoseMeasurement(t_ns, T, np.arange(9), markers, 5, 0.01, 1e-4)
+    return PoseMeasurement(t_ns, T, np.arange(9), markers, 5, 0.01, 1e-4, 0.01 * np.eye(6))
 
 
 @given(st.floats(min_value=0, max_value=200))

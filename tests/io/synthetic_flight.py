@@ -174,11 +174,13 @@ def camera_step(flight: Flight, t_ns: int, sequence: int) -> Iterator[tuple[str,
     markers = flight.setup.tanker.markers
     labels = np.full(len(markers), -1)
     labels[marker] = np.arange(len(marker))
-    pose = None if sequence % 50 == 49 else PoseMeasurement(t_ns, T, labels, len(marker), 5, 0.02, 1e-4)
+    pose = None if sequence % 50 == 49 else PoseMeasurement(t_ns, T, labels, len(marker), 5, 0.02, 1e-4, np.eye(6))
     reject = Reject(t_ns, "vision", "too_few_markers", "4 of 5") if pose is None else None
     off = SE3(exp_so3(np.array([0.0, 0.003, 0.0])) @ T.R, T.t)
     predicted = project(flight.setup.camera, off, np.array([m.p_tanker_m for m in markers]))
-    yield "out", VisionOutput(t_ns, sequence, Detections(t_ns, uv, np.full(len(uv), 12.0)), predicted, pose, reject)
+    m = len(uv)
+    detections = Detections(t_ns, uv, np.full(m, 12.0), np.full(m, 0.1), np.zeros(m, np.uint8))
+    yield "out", VisionOutput(t_ns, sequence, detections, predicted, pose, reject)
     yield "out", FusedPose(t_ns, T, T, weight(t), len(marker))
 
 

@@ -62,7 +62,7 @@ def test_pictures_stay_out_and_unseen_markers_are_null(flown: tuple[Path, dict])
     rows = list(read_records(flown[0] / "events.jsonl"))
     frame = next(r for r in rows if r["kind"] == "CameraFrame")
     assert frame == {"kind": "CameraFrame", "dir": "in", "t_ns": 0, "sequence": 0, "width_px": 640, "height_px": 480}
-    nothing = Detections(1, np.empty((0, 2)), np.empty(0))
+    nothing = Detections(1, np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, np.uint8))
     vision = VisionOutput(1, 0, nothing, np.array([[1.5, np.nan]]), None, None)
     folder = flown[0] / "again"
     folder.mkdir()
