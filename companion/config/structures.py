@@ -58,6 +58,14 @@ class MarkerConfig(Struct, frozen=True, kw_only=True):
     where: str = ""
 
 
+class CornerPointConfig(Struct, frozen=True, kw_only=True):
+    """One corner of the airframe that shows in a picture. ``p_tanker_m`` in tanker body axes from its centre of mass."""
+
+    id: int
+    p_tanker_m: Vec3
+    where: str = ""
+
+
 class WindowConfig(Struct, frozen=True, kw_only=True):
     """Three-dimensional window of thesis Tab. 1.1: half-widths about box B, per axis of ``mrf``."""
 
@@ -75,7 +83,7 @@ class BoomConfig(Struct, frozen=True, kw_only=True):
 
 
 class TankerConfig(Struct, frozen=True, kw_only=True):
-    """What the companion must know of a tanker: lights, refuelling box, window."""
+    """What the companion must know of a tanker: lights, refuelling box, window, and corners to see it by without lights."""
 
     name: str
     markers: tuple[MarkerConfig, ...]
@@ -83,17 +91,45 @@ class TankerConfig(Struct, frozen=True, kw_only=True):
     box_tanker_m: Vec3
     boom: BoomConfig
     window: WindowConfig = WindowConfig()
+    corners: tuple[CornerPointConfig, ...] = ()
     why: str = ""
 
 
 class DetectionConfig(Struct, frozen=True, kw_only=True):
-    """Marker detection (thesis 4.2.1): a pixel is lit when red exceeds the larger of green and blue by a threshold."""
+    """Marker detection (thesis 4.2.1): a pixel is lit when red exceeds the larger of green and blue by a threshold.
 
-    threshold: int = 60
+    ``threshold`` in steps of 1/255; with ``adaptive`` it is the least, and noise or a red picture raise it.
+    ``reject_clutter`` leaves out what is no light: ``companion.vision.detection`` says what, and ``max_elongation`` is
+    the length over width from which on a detection is a stripe. ``hot_pixels`` pairs of column and row that are dead.
+    """
+
+    threshold: int = 24
+    adaptive: bool = True
     min_area_px: int = 1
     max_area_px: int = 4000
     morphology_px: int = 0
     max_detections: int = 64
+    reject_clutter: bool = True
+    max_elongation: float = 2.5
+    hot_pixels: tuple[tuple[int, int], ...] = ()
+
+
+class CornerConfig(Struct, frozen=True, kw_only=True):
+    """Detection of the airframe's corners, without lights (thesis 1): Shi-Tomasi candidates, Förstner's point estimate.
+
+    ``gate_px``: half-width of the windows about predicted corners that are looked through. ``min_gradient``: change in
+    every direction that makes a candidate, in steps of 1/255 per px. ``apart_px``: least distance of two candidates.
+    ``radius_px``: how far about a corner its edges are measured. ``sigma_floor_px``: what the airframe's roundness and
+    shading add to the noise, per axis.
+    """
+
+    gate_px: float = 16.0
+    min_gradient: float = 2.5
+    apart_px: int = 3
+    radius_px: int = 4
+    max_per_window: int = 4
+    max_detections: int = 64
+    sigma_floor_px: float = 0.5
 
 
 class LabelingConfig(Struct, frozen=True, kw_only=True):
@@ -106,8 +142,8 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     ``map_sigma_m``: how well the markers' places on the tanker are known, per axis.
     ``detection_probability``: that of a marker being detected; ``false_density``: false detections to reckon with per
     unit of area on the plane z = 1, where a picture 70 degrees wide has 1.5.
-    ``gate_sigma``: a label fits within so many sigmas of where the others put it; ``rival_sigma``: and counts if no
-    other detection is within so many; ``widest_sigma``: and if the others put it to within so many sigmas of its own noise.
+    ``gate_sigma``: a label fits within so many sigmas of where the others put it; ``min_label_odds``: log of how much
+    likelier than a false detection in its place; ``min_rival_odds``: log of how much likelier than any other detection.
     ``min_agree`` labels at least; ``min_score``: log of how much likelier than chance they are; ``min_margin``: log of
     how much likelier than any that contradict them. ``max_range_m``: no marker is looked for farther away.
     ``min_agree_blind``: labels at least when neither position nor attitude is known.
@@ -123,11 +159,11 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     detection_probability: float = 0.7
     false_density: float = 20.0
     gate_sigma: float = 3.3
-    rival_sigma: float = 6.0
-    widest_sigma: float = 3.0
+    min_label_odds: float = 5.0
+    min_rival_odds: float = 8.0
     min_agree: int = 4
-    min_score: float = 20.0
-    min_margin: float = 10.0
+    min_score: float = 14.0
+    min_margin: float = 8.0
     max_range_m: float = 150.0
     min_agree_blind: int = 6
 
@@ -139,8 +175,8 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
     centroids of ``sigma_px`` standard deviation per axis: a floor that has calibration and marker map in it too (a
     marker 1 cm off its place is 0.2 px at 23 m). ``ins_attitude``: whether the relative attitude of the two INS, known
     to ``ins_sigma_rad`` per axis, is a measurement in it never, with fewer than ``min_markers`` or always; it takes
-    ``min_markers_ins`` markers then. A pose is rejected when its position is known worse than ``max_sigma_m``, or when
-    markers fit it worse than noise makes them with ``residual_probability``.
+    ``min_markers_ins`` markers then. A pose is rejected when its position is known worse than ``max_sigma_m`` or its
+    attitude than ``max_sigma_rad``, or when markers fit it worse than noise makes them with ``residual_probability``.
     """
 
     solver: Literal["lhm", "glsdc"] = "lhm"
@@ -157,6 +193,7 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
     ins_sigma_rad: float = 0.01
     min_markers_ins: int = 2
     max_sigma_m: float = 1.0
+    max_sigma_rad: float = 0.1
     residual_probability: float = 1e-6
     detection: DetectionConfig = DetectionConfig()
     labeling: LabelingConfig = LabelingConfig()

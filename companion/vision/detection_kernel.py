@@ -1,8 +1,6 @@
-"""Marker detection, compiled: redness, runs of lit pixels, components, centroids (see ``companion.vision.detection``).
+"""Marker detection, compiled: noise, redness, runs of lit pixels, components (see ``companion.vision.detection``).
 
-Runs of lit pixels, row by row, are joined into components with 8 neighbours (Rosenfeld and Pfaltz 1966, on runs). The
-opening behind a marker slides a least value over rows and columns by doubling its width, so that its cost grows with
-the logarithm of the width.
+Runs of lit pixels, row by row, are joined into components with 8 neighbours (Rosenfeld and Pfaltz 1966, on runs).
 """
 
 from __future__ import annotations
@@ -13,22 +11,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from companion.geometry import Mat
-
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
-RIM_PX = 1
-"""How far beyond its lit pixels a marker's light reaches."""
-
 ROW, FIRST, LAST, OWNER = range(4)
 """Columns of a table of runs: row, first and last column of pixels, and the component."""
 
+NOISE_LEAST = 0.4
+"""Rounding to whole steps alone has 0.29."""
+
+SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
+"""Median of the magnitude of a - 2 b + c, where each has a normal deviation of one."""
+
 AREA, LEFT, RIGHT, TOP, BOTTOM = range(5)
 """Columns of a table of components: lit pixels, and the first and last column and row of them."""
-
-BEYOND = np.int16(32767)
 
 
 def kernel(function: Any) -> Any:
@@ -46,6 +43,31 @@ def redness_of(image: U8) -> U8:
             red, other = image[y, x, 0], max(image[y, x, 1], image[y, x, 2])
             redness[y, x] = max(red, other) - other
     return redness
+
+
+@kernel
+def noise_of(image: U8) -> float:
+    """Return the standard deviation of the sensor's noise in one channel, at least NOISE_LEAST, in steps of 1/255.
+
+    The median of the second differences of green along every eighth row, which edges hardly move; an integer v stands
+    for all of v - 0.5 to v + 0.5. Pixels at either end of the scale have lost their noise and are left out.
+    """
+    h, w, _ = image.shape
+    seen = np.zeros(1021, np.int32)
+    count = 0
+    for y in range(0, h, 8):
+        for x in range(1, w - 1, 2):
+            a, b, c = np.int32(image[y, x - 1, 1]), np.int32(image[y, x, 1]), np.int32(image[y, x + 1, 1])
+            inside = min(a, b, c) > 0 and max(a, b, c) < 255
+            seen[abs(a - 2 * b + c)] += inside
+            count += inside
+    below, v = 0, 0
+    while v < 1020 and 2 * (below + seen[v]) < count:
+        below += int(seen[v])
+        v += 1
+    inner = (0.5 * count - below) / max(seen[v], 1)
+    median = 0.5 * inner if v == 0 else v - 0.5 + inner
+    return max(NOISE_LEAST, median / SECOND_DIFFERENCE)
 
 
 @kernel
@@ -110,98 +132,3 @@ def join_runs(runs: I32) -> I32:
         found[c, LEFT], found[c, RIGHT] = min(found[c, LEFT], first), max(found[c, RIGHT], last)
         found[c, BOTTOM] = row
     return found[:m].copy()
-
-
-@kernel
-def own_pixels(runs: I32, c: int, left: int, top: int, own: U8) -> None:
-    """Mark in ``own``, whose first pixel is (left, top), component c and its rim, without what is lit of others."""
-    h, w = own.shape
-    own[:] = 0
-    start, end = np.searchsorted(runs[:, ROW], top - RIM_PX), np.searchsorted(runs[:, ROW], top + h + RIM_PX)
-    for k in range(start, end):
-        if runs[k, OWNER] == c:
-            for y in range(max(runs[k, ROW] - RIM_PX - top, 0), min(runs[k, ROW] + RIM_PX - top, h - 1) + 1):
-                for x in range(max(runs[k, FIRST] - RIM_PX - left, 0), min(runs[k, LAST] + RIM_PX - left, w - 1) + 1):
-                    own[y, x] = 1
-    for k in range(start, end):
-        y = runs[k, ROW] - top
-        if runs[k, OWNER] != c and 0 <= y < h:
-            for x in range(max(runs[k, FIRST] - left, 0), min(runs[k, LAST] - left, w - 1) + 1):
-                own[y, x] = 0
-
-
-@kernel
-def slide_least(values: I16, size: int) -> None:
-    """Replace each value by the least of the square of ``size`` whose first corner it is; the last ones are void."""
-    h, w = values.shape
-    width = 1
-    while width < size:
-        step = min(width, size - width)
-        for j in range(h):
-            for i in range(w - step):
-                values[j, i] = min(values[j, i], values[j, i + step])
-        for j in range(h - step):
-            for i in range(w):
-                values[j, i] = min(values[j, i], values[j + step, i])
-        width += step
-
-
-@kernel
-def surroundings(image: U8, left: int, top: int, h: int, w: int, size: int) -> I16:
-    """Return the opening (h, w) of the redness with a square of ``size`` in the window whose first pixel is given.
-
-    Redness is signed here: the sky's is far below zero. What is beyond the picture is left out.
-    """
-    half, reach = size // 2, size - 1  # the opening looks this far: once for the least, once for the greatest
-    values = np.full((h + 2 * reach, w + 2 * reach), BEYOND, np.int16)
-    for j in range(max(reach - top, 0), min(h + 2 * reach, image.shape[0] + reach - top)):
-        for i in range(max(reach - left, 0), min(w + 2 * reach, image.shape[1] + reach - left)):
-            y, x = top - reach + j, left - reach + i
-            values[j, i] = np.int16(image[y, x, 0]) - np.int16(max(image[y, x, 1], image[y, x, 2]))
-    slide_least(values, size)
-    for j in range(h + reach):
-        inside = 0 <= top - half + j < image.shape[0]
-        for i in range(w + reach):
-            values[j, i] = -values[j, i] if inside and 0 <= left - half + i < image.shape[1] else BEYOND
-    slide_least(values[: h + reach, : w + reach], size)
-    return -values[:h, :w]
-
-
-@kernel
-def centroid(image: U8, runs: I32, c: int, box: I32) -> tuple[float, float]:
-    """Return the centroid (u, v) in px of component c, weighted with how much of each pixel it covers.
-
-    The surroundings are the morphological opening of the redness with a square wider than the marker: it follows a
-    step from sky to fuselage behind the marker, where one level for all would draw the centroid to one side.
-    """
-    left, right = max(box[LEFT] - RIM_PX, 0), min(box[RIGHT] + RIM_PX, image.shape[1] - 1)
-    top, bottom = max(box[TOP] - RIM_PX, 0), min(box[BOTTOM] + RIM_PX, image.shape[0] - 1)
-    h, w = bottom - top + 1, right - left + 1
-    size = (max(box[RIGHT] - box[LEFT], box[BOTTOM] - box[TOP]) + 2 * RIM_PX + 2) | 1
-    own = np.empty((h, w), np.uint8)
-    own_pixels(runs, c, left, top, own)
-    ground, level = surroundings(image, left, top, h, w, size), np.empty((h, w), np.int16)
-    full = 0
-    for j in range(h):
-        for i in range(w):
-            y, x = top + j, left + i
-            level[j, i] = np.int16(image[y, x, 0]) - np.int16(max(image[y, x, 1], image[y, x, 2]))
-            full = max(full, level[j, i] * own[j, i])
-    total, u, v, area, x_own, y_own = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(h):
-        for i in range(w):
-            share = own[j, i] * (level[j, i] - ground[j, i]) / max(full - ground[j, i], 1)
-            total, u, v = total + share, u + share * i, v + share * j
-            area, x_own, y_own = area + own[j, i], x_own + own[j, i] * i, y_own + own[j, i] * j
-    if not total > 0.0:  # as red all around as itself, which only a picture no larger than the component can be
-        total, u, v = area, x_own, y_own
-    return left + u / total, top + v / total
-
-
-@kernel
-def centroids(image: U8, runs: I32, found: I32, kept: NDArray[np.int64]) -> Mat:
-    """Return the centroids (n, 2) in px of the components named in ``kept``."""
-    uv = np.empty((len(kept), 2))
-    for n in range(len(kept)):
-        uv[n, 0], uv[n, 1] = centroid(image, runs, kept[n], found[kept[n]])
-    return uv
