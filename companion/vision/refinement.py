@@ -23,17 +23,12 @@ from companion.vision.refinement_kernel import (
     BAD_ATTITUDE,
     BAD_SIGMA,
     BAD_START,
-    CHI2,
     COVARIANCE,
     HEAD,
-    IMAGE,
-    ITERATIONS,
-    NEAREST,
     NOT_A_ROTATION,
     NOT_FINITE,
     OK,
     ROTATION,
-    SETTLED,
     STATUS,
     TRANSLATION,
     WEAK,
@@ -63,7 +58,7 @@ class RefinedPose:
     instead, sigma^2 I - J cov J^T: chi-square with two degrees of freedom, and to first order what chi2 falls by when
     the marker is left out. It is NaN where the pose follows the marker whatever it says.
     ``image_error`` RMS distance on z = 1, ``nearest_m`` smallest depth. ``converged`` says that the next step would be
-    below a ten-thousandth of a standard deviation. When the start has a marker behind the camera it is
+    about a ten-thousandth of a standard deviation. When the start has a marker behind the camera it is
     returned as it is, not converged, with a covariance of NaN.
     """
 
@@ -99,20 +94,21 @@ def refine_pose(
     R_attitude, cov_attitude = check_attitude(len(points), R_prior, cov_rotation)
     R0, t0 = check_pose(T_init)
     out = refine(points, rays, deviations, R0, t0, R_attitude, cov_attitude)
-    n, status = len(points), int(out[STATUS])
+    n = len(points)
+    status, chi2, squared_image, nearest_m, iterations, settled = out[STATUS:HEAD].tolist()
     if status not in {OK, BAD_START}:
-        raise ValueError(COMPLAINTS[status])
+        raise ValueError(COMPLAINTS[int(status)])
     return RefinedPose(
         SE3(out[ROTATION:TRANSLATION].reshape(3, 3), out[TRANSLATION:COVARIANCE]),
         out[COVARIANCE:STATUS].reshape(6, 6),
         out[HEAD : HEAD + n],
         out[HEAD + n :],
-        float(out[CHI2]),
+        chi2,
         2 * n - 6 if R_prior is None else 2 * n - 3,
-        (float(out[IMAGE]) / n) ** 0.5,
-        float(out[NEAREST]),
-        int(out[ITERATIONS]),
-        bool(out[SETTLED]),
+        (squared_image / n) ** 0.5,
+        nearest_m,
+        int(iterations),
+        settled == 1.0,
     )
 
 

@@ -20,13 +20,18 @@ OK, NOT_FINITE, BAD_SIGMA, NOT_A_ROTATION, BAD_ATTITUDE, WEAK, BAD_START = range
 ROTATION, TRANSLATION, COVARIANCE = 0, 9, 12
 STATUS, CHI2, IMAGE, NEAREST, ITERATIONS, SETTLED = 48, 49, 50, 51, 52, 53
 HEAD = 54
-"""Places in the flat answer; IMAGE is the sum of the squared distances on z = 1, NEAREST the smallest depth in m."""
+"""Places in the flat answer, the six from STATUS on in this order: IMAGE is the sum of the squared distances on z = 1,
+NEAREST the smallest depth in m."""
 
-SMALL_STEP = 1e-8
-"""Squared length of a step, in standard deviations of the pose, that is not worth taking: a ten-thousandth of one."""
+SMALL_STEP = 1e-9
+"""A step is not worth taking when chi2 would fall by less than this part of 1 + chi2.
+
+With chi2 at its usual dozen that is a ten-thousandth of a standard deviation of the pose.
+"""
 
 MAX_STEPS = 50
-FIRST_DAMPING = 1e-3
+FIRST_DAMPING = 1e-2
+
 UNTESTED = 1e-6
 """Share of a marker's own variance in its residual below which the residual tells nothing: the pose follows it."""
 
@@ -165,7 +170,8 @@ def descend(
 ) -> int:
     """Move R, t, in place, to the least chi2 by Levenberg-Marquardt; fill the head of ``out`` but its covariance.
 
-    ``work[:6]`` is left with the normal equations at the end. Steps are Gauss-Newton's until one does not descend.
+    ``work[:6]`` is left with the normal equations at the end. Steps are Gauss-Newton's while they do what the linear
+    model says; damping grows when chi2 falls by less than a quarter of that, and goes when it falls as foretold.
     """
     N, N_new, L, J, g, g_new, d = work[:6], work[6:12], work[12:18], work[18:20], work[20], work[21], work[22]
     R_new, t_new = np.empty((3, 3)), np.empty(3)
@@ -173,21 +179,26 @@ def descend(
     status = OK if np.isfinite(chi2) else BAD_START
     damping, steps, settled = 0.0, 0, False
     while status == OK and steps < MAX_STEPS:
-        if not factor(N, damping, L):
+        if not factor(N, 0.0, L):
             status = WEAK
             break
-        settled = solve(L, g, d) < SMALL_STEP and damping == 0.0
+        foretold = solve(L, g, d)
+        settled = foretold < SMALL_STEP * (1.0 + chi2)
         if settled:
             break
+        if damping > 0.0 and factor(N, damping, L):
+            foretold = solve(L, g, d)
         steps += 1
         move(R, t, d, R_new, t_new)
         new = linearise(points, uv, sigma, R_new, t_new, R_prior, information, N_new, g_new, J)
-        if new[0] < chi2 * (1.0 + 1e-12):  # also false for NaN and infinity
+        gain = (chi2 - new[0]) / foretold  # NaN or minus infinity where there is no pose
+        if gain > 0.0:
             chi2, image, nearest = new
             take(R_new, t_new, N_new, g_new, R, t, N, g)
+        if not gain > 0.25:
+            damping = max(5.0 * damping, FIRST_DAMPING)
+        elif gain > 0.75:
             damping = 0.1 * damping if damping > FIRST_DAMPING else 0.0
-        else:
-            damping = max(10.0 * damping, FIRST_DAMPING)
     out[CHI2], out[IMAGE], out[NEAREST] = chi2, image, nearest
     out[ITERATIONS], out[SETTLED] = steps, 1.0 if settled else 0.0
     return status

@@ -5,6 +5,12 @@ fusion does anyway (3.2), and the picture gives the translation: linear in close
 then by maximum likelihood with the attitude as a measurement among the others. So the attitude's uncertainty is in the
 covariance, with its cross terms, and what redundancy there is corrects the attitude a little.
 
+There is no cliff at five then (`make bench`, attitude known to 10 mrad, 0.3 px, 20 to 50 m: median sigma of the
+position 0.035 m with nine, 0.055 with five, 0.071 with four, 0.115 with three, 0.231 with two). Five markers or more
+fix the pose as well without the attitude (0.035 and 0.057 m), and an INS that is wrong cannot spoil it: that is the
+default. With the attitude throughout, a marker more never makes the covariance larger, at the price of errors that
+stay from one frame to the next, as those of an attitude do.
+
 A translation with R kept as it was told would be a little simpler and, where the attitude is worse than the pixels
 (several mrad; the lever arm of the markers is 10 m), much worse: its residuals would be weighed as if the attitude's
 error were noise of the pixels, independent from one marker to the next.
@@ -17,8 +23,8 @@ import numpy as np
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.refinement import RefinedPose, check_attitude, check_markers, refine_pose
 
-LEAST_SINE_SQUARED = 1e-12
-"""Of the angle between two rays, to tell them from parallel ones."""
+LEAST_DETERMINANT = 1e-12
+"""Of the equations for t over their trace's cube, to tell rays from parallel ones: a few microradians of two rays."""
 
 LEAST_SPREAD_M = 1e-6
 
@@ -53,7 +59,7 @@ def linear_translation(turned: Mat, uv: Mat, sigma: Vec) -> Vec:
     w = sigma.min() ** 2 / sigma**2
     M = w.sum() * np.eye(3) - (rays.T * w) @ rays
     # The eigenvalues of two rays are 2, 1 + cos, 1 - cos of their angle: the determinant is 2 sin^2.
-    if not np.linalg.det(M) > LEAST_SINE_SQUARED * np.trace(M) ** 3:
+    if not np.linalg.det(M) > LEAST_DETERMINANT * np.trace(M) ** 3:
         msg = "uv are all the same ray: they do not fix a translation"
         raise ValueError(msg)
     along = np.einsum("ij,ij->i", rays, turned)
