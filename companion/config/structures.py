@@ -189,7 +189,7 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
     max_image_error_px: float = 3.0
     refine: bool = True
     sigma_px: float = 0.3
-    ins_attitude: Literal["never", "few", "always"] = "always"
+    ins_attitude: Literal["never", "few", "always"] = "few"
     ins_sigma_rad: float = 0.01
     min_markers_ins: int = 2
     max_sigma_m: float = 1.0
