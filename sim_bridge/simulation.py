@@ -24,7 +24,8 @@ from sim_bridge.datalink import SerialPacer
 from sim_bridge.operator import ScheduledOperator
 from sim_bridge.plant.world import World
 from sim_bridge.scenario import Scenario
-from sim_bridge.scene.camera_picture import CameraPicture
+from sim_bridge.scene.camera_picture import CLEAR_DAY, CameraPicture
+from sim_bridge.scene.conditions import PictureConditions
 from sim_bridge.truth import Truth
 
 STEP_NS = 5_000_000
@@ -58,9 +59,10 @@ class Camera:
     without one they are drawn at once.
     """
 
-    def __init__(self, setup: Setup, rng: np.random.Generator, executor: Executor | None = None) -> None:
+    def __init__(self, setup: Setup, rng: np.random.Generator, executor: Executor | None = None,
+                 conditions: PictureConditions = CLEAR_DAY) -> None:
         camera = setup.camera
-        self._picture = CameraPicture(camera, setup.tanker, rng)
+        self._picture = CameraPicture(camera, setup.tanker, rng, conditions=conditions)
         self._period_ns = round(1e9 / camera.rate_hz)
         self._latency_ns = round(camera.latency_s * 1e9)
         self._next_ns = 0
@@ -112,7 +114,7 @@ class Simulation:
         self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz)
         self._origin_altitude_m = setup.config.links.origin_altitude_m
         self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
-        self._camera = Camera(setup, camera, executor)
+        self._camera = Camera(setup, camera, executor, scenario.picture)
         self._operator = ScheduledOperator(setup.config.links, scenario.commands)
 
     @property

@@ -67,8 +67,11 @@ LEAST_PURITY = 0.25
 """Redness over red of the reddest pixel: a light has 0.6 and more, 0.4 when it is smaller than a pixel."""
 
 FAINT_SHARE = 0.3
+RESOLVED_AREA, RESOLVED_SHARE = 7.0, 0.5
 BRIGHT_RANK = 5
-"""Less red than this share of the fifth brightest candidate is no light: nine lights are of one kind."""
+"""Less red than FAINT_SHARE of the fifth brightest candidate is no light: all lights are of one kind. One that covers
+more than RESOLVED_AREA px loses nothing of its brightness to the lens, so that paint, which does not glow, falls short.
+"""
 
 
 PIXEL_VARIANCE = 1.0 / 12.0
@@ -236,10 +239,10 @@ def flag(
         (BlobFlag.STREAK, (elongation > config.max_elongation) & ~border),
     ):
         flags[holds] |= np.uint8(name)
-    if config.adaptive:
-        peaks = np.sort(table[(flags & CLUTTER) == 0, blob.PEAK])
-        if len(peaks) >= BRIGHT_RANK:
-            flags[table[:, blob.PEAK] < FAINT_SHARE * peaks[-BRIGHT_RANK]] |= np.uint8(BlobFlag.FAINT)
+    peaks = np.sort(table[(flags & CLUTTER) == 0, blob.PEAK])
+    if config.adaptive and len(peaks) >= BRIGHT_RANK:
+        share = np.where(table[:, blob.TOTAL] > RESOLVED_AREA, RESOLVED_SHARE, FAINT_SHARE)
+        flags[table[:, blob.PEAK] < share * peaks[-BRIGHT_RANK]] |= np.uint8(BlobFlag.FAINT)
     return flags
 
 

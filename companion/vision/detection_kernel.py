@@ -60,7 +60,7 @@ def noise_of(image: U8) -> float:
             a, b, c = np.int32(image[y, x - 1, 1]), np.int32(image[y, x, 1]), np.int32(image[y, x + 1, 1])
             inside = min(a, b, c) > 0 and max(a, b, c) < 255
             seen[abs(a - 2 * b + c)] += inside
-            count += inside
+            count += int(inside)
     below, v = 0, 0
     while v < 1020 and 2 * (below + seen[v]) < count:
         below += int(seen[v])

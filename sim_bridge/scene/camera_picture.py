@@ -31,11 +31,14 @@ from sim_bridge.scene import lights, tiles
 from sim_bridge.scene import rasterizer as kernels
 from sim_bridge.scene.ambient import shade_recesses
 from sim_bridge.scene.background import pack_sky
+from sim_bridge.scene.clutter import Glow, glows, hot_pixels, red_paint
+from sim_bridge.scene.conditions import PictureConditions
 from sim_bridge.scene.meshing import Mesh, merge
 from sim_bridge.scene.sky import make_sky
 from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh
 from sim_bridge.truth import BoomState
 
+CLEAR_DAY = PictureConditions()
 LIGHT = (4.0, 0.12, 0.12)
 SPREAD_PX = 0.5
 NOISE = 1.2
@@ -64,10 +67,11 @@ class Spheres:
     samples: int
 
 
-@lru_cache(maxsize=1)
-def scene_mesh() -> tuple[Mesh, NDArray[np.int32]]:
-    """Return tanker, boom and telescope as one mesh, and the part (0, 1, 2) of every vertex."""
-    parts = [shade_recesses(tanker_mesh()), *boom_mesh()]
+@lru_cache(maxsize=2)
+def scene_mesh(painted: bool = False) -> tuple[Mesh, NDArray[np.int32]]:
+    """Return tanker, boom and telescope as one mesh, and the part (0, 1, 2) of every vertex; ``painted`` red or not."""
+    airframe = merge([tanker_mesh(), *red_paint()]) if painted else tanker_mesh()
+    parts = [shade_recesses(airframe), *boom_mesh()]
     part = np.repeat(np.arange(3), [len(p.vertices) for p in parts]).astype(np.int32)
     return merge(parts), part
 
@@ -104,14 +108,14 @@ class Pinhole:
         """Return fx, fy, cx, cy in units of samples, ``ss`` to a pixel, sample centres at integers."""
         return np.concatenate([self.lens[:2] * ss, (self.lens[2:] + 0.5) * ss - 0.5])
 
-    def place_spheres(self, centres_cam: Mat, radius_m: float) -> Spheres:
+    def place_spheres(self, centres_cam: Mat, radii_m: Vec) -> Spheres:
         """Bound the lights that are ahead of the camera; bounds are empty (1, 0) for what is not in the picture."""
         box = np.empty((len(centres_cam), 4), np.int32)
-        lights.bound_spheres(centres_cam, radius_m, self.lens, self.width, self.height, box)
-        fine = np.where(radius_m * self.lens[0] < FINE_RADIUS_PX * centres_cam[:, 2], FINE, FINE // 3).astype(np.int32)
+        lights.bound_spheres(centres_cam, radii_m, self.lens, self.width, self.height, box)
+        fine = np.where(radii_m * self.lens[0] < FINE_RADIUS_PX * centres_cam[:, 2], FINE, FINE // 3).astype(np.int32)
         sizes = (box[:, 1] - box[:, 0] + 1) * (box[:, 3] - box[:, 2] + 1) * fine * fine
         ends = np.cumsum(sizes)
-        spheres = np.column_stack([centres_cam, np.full(len(centres_cam), radius_m)])
+        spheres = np.column_stack([centres_cam, radii_m])
         return Spheres(spheres, box, fine, (ends - sizes).astype(np.int32), int(ends[-1]))
 
 
@@ -124,15 +128,16 @@ def pinhole_of(camera: CameraConfig) -> Pinhole:
 class Triangles:
     """The table of the triangles in view, and the buffers behind it."""
 
-    def __init__(self) -> None:
-        mesh, _ = scene_mesh()
+    def __init__(self, painted: bool = False) -> None:
+        self._scene = scene_mesh(painted)
+        mesh, _ = self._scene
         self._xyz, self._rgb, self._screen = (np.empty_like(mesh.vertices) for _ in range(3))
         self.table = np.empty((2 * len(mesh.triangles), kernels.COLUMNS))
         self.box = np.empty((2 * len(mesh.triangles), 4), np.int32)
 
     def place(self, pinhole: Pinhole, ss: int, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState) -> int:
         """Light and place tanker and boom before the camera, with ``ss`` samples per pixel; returns the rows filled."""
-        mesh, part = scene_mesh()
+        mesh, part = self._scene
         T_cam_ned = T_ned_cam.inverse()
         T_ned_part = [T_ned_tanker, *(T_ned_tanker @ T for T in boom_poses(boom))]
         T = np.stack([(T_cam_ned @ T_part).as_matrix()[:3] for T_part in T_ned_part])
@@ -148,15 +153,21 @@ class CameraPicture:
     """Draws what the camera sees; keep one per camera, its buffers are used again."""
 
     def __init__(self, camera: CameraConfig, tanker: TankerConfig, rng: np.random.Generator, threads: int = 2, *,
-                 light: tuple[float, float, float] = LIGHT, noise: float = NOISE) -> None:
+                 light: tuple[float, float, float] = LIGHT, noise: float = NOISE,
+                 conditions: PictureConditions = CLEAR_DAY) -> None:
         """Make sky and noise from ``rng``.
 
-        ``light`` red, green, blue of the markers in full scales; ``noise`` standard deviation in steps of 1/255.
+        ``light`` red, green, blue of the markers in full scales; ``noise`` standard deviation in steps of 1/255;
+        ``conditions`` daylight, exposure and clutter.
         """
         self.camera, self.tanker, self.threads = camera, tanker, threads
-        self._rng, self._light = rng, np.array(light)
+        self._rng, self._conditions = rng, conditions
         self._pinhole, self._T_frd_cam = pinhole_of(camera), T_frd_cam(camera)
-        self._markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
+        markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
+        self._glows = [*glows(conditions.clutter), Glow(markers, tanker.marker_radius_m, np.array(light))]
+        self._places = np.concatenate([g.places_tanker_m for g in self._glows])
+        self._radii = np.concatenate([np.full(len(g.places_tanker_m), g.radius_m) for g in self._glows])
+        self._hot = hot_pixels(rng.spawn(1)[0], conditions.hot_pixels, camera.height_px, camera.width_px)
         self._sky = pack_sky(make_sky(rng))
         size = camera.width_px * camera.height_px * 3
         self._noise = np.clip(np.round(noise * rng.standard_normal(size + NOISE_OFFSETS)), -127, 127).astype(np.int8)
@@ -166,21 +177,22 @@ class CameraPicture:
         across, down = (-(-n // tiles.TILE) for n in (self._pinhole.width, self._pinhole.height))
         self._shares = [np.arange(k, down, threads, dtype=np.int32) for k in range(threads)]
         self._grid = (across, down)
-        self._triangles = Triangles()
+        self._triangles = Triangles(painted="stripe" in conditions.clutter)
 
     def render(self, T_ned_tanker: SE3, T_ned_frd: SE3, boom: BoomState) -> NDArray[np.uint8]:
         """Return the picture (h, w, 3) uint8 RGB of the tanker from the camera on the receiver."""
         T_ned_cam = T_ned_frd @ self._T_frd_cam
         T_cam_tanker = T_ned_cam.inverse() @ T_ned_tanker
-        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._markers), self.tanker.marker_radius_m)
+        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._places), self._radii)
         mask = np.zeros(spheres.samples, np.uint8)
         picture = self._draw(T_ned_tanker, T_ned_cam, boom, spheres, mask)
         if self._pinhole.maps is not None:
             picture = cv2.remap(picture, *self._pinhole.maps, cv2.INTER_LINEAR)
-        self._add_lights(picture, spheres, mask)
+        exposed = self._expose(picture, spheres, mask)
         start = int(self._rng.integers(NOISE_OFFSETS))
-        lights.add_noise(picture.reshape(-1), self._noise[start:])
-        return picture
+        lights.add_noise(exposed.reshape(-1), self._noise[start:])
+        exposed[self._hot[:, 0], self._hot[:, 1], 0] = 255
+        return exposed
 
     def _draw(self, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState, spheres: Spheres,
               mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -201,13 +213,25 @@ class CameraPicture:
             other.result()
         return picture
 
-    def _add_lights(self, picture: NDArray[np.uint8], spheres: Spheres, mask: NDArray[np.uint8]) -> None:
-        """Spread the visible samples of the lights by lens and distortion, and lay them over the picture."""
-        jacobian = self._bend(spheres.centres)
-        window = np.empty_like(spheres.box)
-        lights.spread_lights(spheres.box, spheres.offset, spheres.fine, mask, jacobian, self._spread, self._cover,
-                             window)
-        lights.add_lights(picture, self._cover, window, self._light)
+    def _expose(self, picture: NDArray[np.uint8], spheres: Spheres, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return ``picture`` in these conditions, with the visible samples of the lights spread by lens and distortion.
+
+        ``picture`` itself is written over.
+        """
+        conditions, exposed = self._conditions, picture
+        if not conditions.plain():
+            picture = cv2.LUT(picture, conditions.surroundings_table())
+            exposed = cv2.LUT(picture, conditions.gain_table())
+        jacobian, window = self._bend(spheres.centres), np.empty_like(spheres.box)
+        first = 0
+        for glow in self._glows:
+            some = slice(first, first + len(glow.places_tanker_m))
+            lights.spread_lights(spheres.box[some], spheres.offset[some], spheres.fine[some], mask, jacobian[some],
+                                 self._spread, self._cover, window[some])
+            radiance = conditions.radiance_of_light(glow.radiance)
+            lights.add_lights(picture, exposed, self._cover, window[some], radiance, conditions.gain)
+            first = some.stop
+        return exposed
 
     def _bend(self, centres_cam: Mat) -> Mat:
         """Return how the lens moves pinhole pixels near each light (n, 8), for ``lights.spread_lights``.

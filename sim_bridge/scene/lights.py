@@ -14,7 +14,7 @@ MARGIN = 4
 
 
 @kernel
-def bound_spheres(centres: F64, radius: float, lens: F64, width: int, height: int, box: I32) -> None:
+def bound_spheres(centres: F64, radii: F64, lens: F64, width: int, height: int, box: I32) -> None:
     """Write first and last column and row of pixels that each sphere's outline touches to ``box`` (n, 4).
 
     Cut to the picture; empty (1, 0, 1, 0) for a sphere that is not in it or not ahead.
@@ -22,7 +22,7 @@ def bound_spheres(centres: F64, radius: float, lens: F64, width: int, height: in
     limit = 0.5 * math.pi - 1e-6
     for s in range(len(centres)):
         box[s, 0], box[s, 1], box[s, 2], box[s, 3] = 1, 0, 1, 0
-        z = centres[s, 2]
+        z, radius = centres[s, 2], radii[s]
         if not z > radius + NEAR_M:
             continue
         for k in range(2):
@@ -77,10 +77,11 @@ def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F
 
 
 @kernel
-def add_lights(picture: U8, cover: F32, window: I32, light: F64) -> None:
+def add_lights(picture: U8, exposed: U8, cover: F32, window: I32, light: F64, gain: float) -> None:
     """Lay lights of colour ``light`` (3,), in full scales, over ``picture`` where ``cover`` says, clipping at 255.
 
-    Only the parts of ``cover`` that ``window`` names are looked at, and left empty for the next picture.
+    ``exposed`` gets the same times ``gain``; it may be ``picture`` itself when that is one. Only the parts of
+    ``cover`` that ``window`` names are looked at, and left empty for the next picture.
     """
     h, w, _ = picture.shape
     for s in range(len(window)):
@@ -92,6 +93,7 @@ def add_lights(picture: U8, cover: F32, window: I32, light: F64) -> None:
                     for k in range(3):
                         value = float(picture[y, x, k]) * (1.0 - c) + 255.0 * light[k] * c
                         picture[y, x, k] = np.uint8(min(255.0, value + 0.5))
+                        exposed[y, x, k] = np.uint8(min(255.0, gain * value + 0.5))
 
 
 @kernel
