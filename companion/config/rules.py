@@ -8,7 +8,7 @@ import math
 import msgspec
 import numpy as np
 
-from companion.config.structures import AirframeConfig, CameraConfig, CompanionConfig, TankerConfig
+from companion.config.structures import AirframeConfig, CameraConfig, CompanionConfig, CornerConfig, TankerConfig
 
 Rules = list[tuple[bool, str]]
 """What has to hold of values that are of the right type, and what to say when it does not."""
@@ -89,6 +89,10 @@ def tanker_rules(t: TankerConfig) -> Rules:
         (width_off_a_line_m(t) > t.marker_radius_m,
          "all markers lie on one line, about which no pose is fixed; move one away from it"),
         (window, "window.desired_m must be positive and lie inside window.limit_m"),
+        (len(t.corners) == 0 or len(t.corners) >= 5, "corners: at least 5 are needed for a pose, or none"),
+        (len({c.id for c in t.corners}) == len(t.corners), "two corners have the same id"),
+        (all(abs(v) <= FARTHEST_M for c in t.corners for v in c.p_tanker_m),
+         f"corners: p_tanker_m must be within {FARTHEST_M:.0f} m (metres, not millimetres)"),
     ]
 
 
@@ -105,6 +109,19 @@ def airframe_rules(a: AirframeConfig) -> Rules:
         (min(a.response.roll_rad_s, a.response.pitch_rad_s, a.response.thrust_lag_s) > 0,
          "response.roll_rad_s, pitch_rad_s and thrust_lag_s must be positive"),
         (0 <= a.response.delay_s <= 1, "response.delay_s must be in 0..1 seconds"),
+    ]
+
+
+def corner_rules(c: CornerConfig) -> Rules:
+    """Return what has to hold of the detection of corners."""
+    return [
+        (c.gate_px > 0, "vision.corners.gate_px must be positive pixels"),
+        (0 < c.min_gradient < 256, "vision.corners.min_gradient must be in 0..255 steps per pixel"),
+        (1 <= c.apart_px <= 50, "vision.corners.apart_px must be in 1..50 pixels"),
+        (2 <= c.radius_px <= 20, "vision.corners.radius_px must be in 2..20 pixels"),
+        (c.max_per_window >= 1, "vision.corners.max_per_window must be at least 1"),
+        (c.max_detections >= 5, "vision.corners.max_detections must be at least 5"),
+        (c.sigma_floor_px >= 0, "vision.corners.sigma_floor_px must not be negative"),
     ]
 
 

@@ -59,7 +59,7 @@ class MarkerConfig(Struct, frozen=True, kw_only=True):
 
 
 class CornerPointConfig(Struct, frozen=True, kw_only=True):
-    """One corner of the airframe that shows in a picture. ``p_tanker_m`` in tanker body axes from its centre of mass."""
+    """One corner of the airframe. ``p_tanker_m`` in tanker body axes from its centre of mass."""
 
     id: int
     p_tanker_m: Vec3
@@ -83,7 +83,7 @@ class BoomConfig(Struct, frozen=True, kw_only=True):
 
 
 class TankerConfig(Struct, frozen=True, kw_only=True):
-    """What the companion must know of a tanker: lights, refuelling box, window, and corners to see it by without lights."""
+    """What the companion must know of a tanker: lights, refuelling box, window; corners, to see it without lights."""
 
     name: str
     markers: tuple[MarkerConfig, ...]
@@ -123,12 +123,12 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     shading add to the noise, per axis.
     """
 
-    gate_px: float = 16.0
-    min_gradient: float = 2.5
+    gate_px: float = 20.0
+    min_gradient: float = 4.0
     apart_px: int = 3
     radius_px: int = 4
-    max_per_window: int = 4
-    max_detections: int = 64
+    max_per_window: int = 6
+    max_detections: int = 80
     sigma_floor_px: float = 0.5
 
 
@@ -158,7 +158,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     map_sigma_m: float = 0.01
     detection_probability: float = 0.7
     false_density: float = 20.0
-    gate_sigma: float = 3.3
+    gate_sigma: float = 4.5
     min_label_odds: float = 5.0
     min_rival_odds: float = 8.0
     min_agree: int = 4
