@@ -2,9 +2,9 @@
 
 Rules
 -----
-* The truth of a frame is, for each detection, the marker (its place in the map, from 0) whose light it is, or -1 where
-  it is not the picture of one light: false detections, and blobs in which a light has run together with something else.
-  A light that was detected in two pieces gives two detections with the same marker.
+* The truth of a frame is, for each detection, the marker (its place in the map, from 0) whose light it is, or -1 for a
+  false detection. A light detected in two pieces gives two detections with the same marker; one that has run together
+  with something else is still that marker's, though its centroid is off.
 * A label is wrong when its detection is not that marker's light, whatever the distance between them.
 * A marker is missed when one of the frame's detections is its light and it got no label; a marker with no detection
   that got none is as it should be.
@@ -26,19 +26,21 @@ class LabelScore:
 
     A row's label goes to the column of its detection's truth. Detections that got no label are in the row "none", where
     the pieces of one light count once and not at all when one of them is labelled. ``absent`` counts markers without a
-    detection that rightly got no label; ``pieces`` labels on one of several pieces of the right light.
+    detection that rightly got no label; ``impure`` labels on a piece of the right light or on one not alone in its blob.
     """
 
     def __init__(self, markers: int) -> None:
         self.confusion: Ints = np.zeros((markers + 1, markers + 1), dtype=np.int64)
         self.absent = 0
-        self.pieces = 0
+        self.impure = 0
         self.frames = 0
         self.frames_labelled = 0
         self.frames_wrong = 0
 
-    def add(self, labels: ArrayLike, truth: ArrayLike) -> Ints:
+    def add(self, labels: ArrayLike, truth: ArrayLike, pure: ArrayLike | None = None) -> Ints:
         """Count one frame: labels (n,) index into the detections or -1, truth (m,). Return the wrong markers.
+
+        ``pure`` (m,) bool says which detections are one light, whole and alone; without it all are.
 
         Raises ValueError when the numbers of markers or detections do not fit, or a detection has two labels.
         """
@@ -57,7 +59,8 @@ class LabelScore:
         self.confusion[n, :n] += seen & ~reached
         self.confusion[n, n] += np.count_nonzero((true < 0) & ~labelled)
         self.absent += np.count_nonzero(~seen & (given < 0))
-        self.pieces += sum(int(np.count_nonzero(true == i) > 1) for i in used[owner == used])
+        if pure is not None:
+            self.impure += np.count_nonzero(~np.asarray(pure, dtype=bool)[given[used[owner == used]]])
         self.frames += 1
         self.frames_labelled += len(used) > 0
         self.frames_wrong += bool(np.any(owner != used))
@@ -106,7 +109,7 @@ class LabelScore:
         lines = [" " * 10 + "".join(f"{name:>{width}}" for name in [*names, "spurious"])]
         lines += [f"{name:>10}" + "".join(f"{count:>{width}}" for count in row)
                   for name, row in zip([*names, "none"], self.confusion, strict=True)]
-        lines.append(f"right {self.right} (of these on a piece of a split light {self.pieces}), wrong {self.wrong} "
+        lines.append(f"right {self.right} (of these on split or merged lights {self.impure}), wrong {self.wrong} "
                      f"(swapped {self.swapped}, spurious taken {self.spurious_taken}), missed {self.missed}, "
                      f"absent {self.absent}")
         lines.append(f"frames {self.frames}, with labels {self.frames_labelled}, with a wrong one {self.frames_wrong}")

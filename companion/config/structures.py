@@ -149,7 +149,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     ``min_agree_blind``: labels at least when neither position nor attitude is known.
     """
 
-    method: Literal["mutual_nearest", "robust"] = "mutual_nearest"
+    method: Literal["mutual_nearest", "robust"] = "robust"
     max_distance_px: float = 40.0
     prior_sigma_m: float = 1.0
     prior_sigma_rad: float = 0.02
@@ -162,7 +162,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     min_label_odds: float = 5.0
     min_rival_odds: float = 8.0
     min_agree: int = 4
-    min_score: float = 14.0
+    min_score: float = 10.0
     min_margin: float = 8.0
     max_range_m: float = 150.0
     min_agree_blind: int = 6

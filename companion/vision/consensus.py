@@ -149,10 +149,9 @@ def vote(points: Mat, rays: Mat, variance: Vec, R0: Mat, t0: Vec, reach_m: float
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def settle_all(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Mat, t0: Vec, prior: NDArray[np.float64],
-               log_prior: Vec, gain: Vec, limits: Vec, starts: Mat, labels: Ints, d: Mat, R: NDArray[np.float64],
-               t: Mat, P: NDArray[np.float64], scores: Vec, rivals: Ints) -> None:
-    """``settle`` from each start (k, 6) with its labels (k, n), under the prior that may be grossly wrong."""
-    for k in range(starts.shape[0]):
-        d[k] = starts[k]
-        scores[k], rivals[k] = settle(points, rays, variance, map_sigma, R0, t0, prior, log_prior, 1, gain, limits,
-                                      labels[k], d[k], R[k], t[k], P[k])
+               log_prior: Vec, gain: Vec, limits: Vec, barred: Ints, fitting: Ints, labels: Ints, d: Mat,
+               R: NDArray[np.float64], t: Mat, P: NDArray[np.float64], scores: Vec) -> None:
+    """``settle`` from each deviation d (k, 6), its labels (k, n) and barred marker (k,), with the doubtful prior."""
+    for k in range(d.shape[0]):
+        scores[k] = settle(points, rays, variance, map_sigma, R0, t0, prior, log_prior, 1, gain, limits, barred[k],
+                           fitting[k], labels[k], d[k], R[k], t[k], P[k])

@@ -2,9 +2,9 @@
 
 Rules
 -----
-* ``limits``: [gate, rival gate, widest] in sigmas. A label fits when its studentised residual is within the gate. It
-  counts only where the others foretell its place to within ``widest`` sigmas of its own noise, and where no other
-  detection lies within the rival gate of the foretold place.
+* ``limits``: [gate, rival odds, label odds]. A label fits when its studentised residual is within the gate, in sigmas.
+  It counts only where the others and the prior foretell its place so well that it is likelier than a false detection
+  there by exp(label odds), and likelier than any other detection by exp(rival odds).
 * ``prior``: [0] what the pose is expected to be, [1] the prior that may be grossly wrong. Each is an information
   matrix (6, 6) of the deviation from (R0, t0); ``log_prior`` (2,) holds the log density at zero deviation, with the
   log of the probability of that kind of prior.
@@ -91,23 +91,23 @@ def first_labels(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Ma
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def drop_worst(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat, J: NDArray[np.float64], P: Mat,
-               gate: float, widest: float) -> bool:
-    """Take out the label that fits worst, or, when all fit, the one that the others foretell least; say if one was."""
-    worst, at = 1.0, -1
-    wide, wide_at = 1.0, -1
+               gain: Vec, gate: float, least_odds: float) -> bool:
+    """Take out the label that fits worst, or, when all fit, the one that the others support least; say if one was."""
+    worst, at = gate**2, -1
+    least, least_at = least_odds, -1
     for i in range(labels.shape[0]):
         j = labels[i]
         if j < 0:
             continue
         own = variance[j] + (map_sigma * J[i, 0, 0]) ** 2
         d2, _, _, uu, cross, vv = foretold(rays[j], uv[i], J[i], P, own)
-        if d2 / gate**2 > worst:
-            worst, at = d2 / gate**2, i
-        largest = 0.5 * (uu + vv) + np.sqrt(0.25 * (uu - vv) ** 2 + cross**2) if np.isfinite(uu) else np.inf
-        if largest / (own * widest**2) > wide:
-            wide, wide_at = largest / (own * widest**2), i
+        if d2 > worst:
+            worst, at = d2, i
+        odds = gain[j] - LOG_2PI - 0.5 * (np.log(uu * vv - cross * cross) + d2)
+        if odds < least:
+            least, least_at = odds, i
     if at < 0:
-        at = wide_at
+        at = least_at
     if at >= 0:
         labels[at] = -1
     return at >= 0
@@ -115,18 +115,18 @@ def drop_worst(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def leave_out_rivals(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat, J: NDArray[np.float64], P: Mat,
-                     rival_gate: float) -> int:
-    """Take out labels whose foretold place another detection is as well at; return how many."""
+                     rival_odds: float) -> int:
+    """Take out labels whose foretold place suits another detection about as well; return how many."""
     contested = np.zeros(labels.shape[0], dtype=np.bool_)
     for i in range(labels.shape[0]):
         if labels[i] < 0:
             continue
         blur = (map_sigma * J[i, 0, 0]) ** 2
         own = variance[labels[i]] + blur
-        _, u, v, uu, cross, vv = foretold(rays[labels[i]], uv[i], J[i], P, own)
+        d2, u, v, uu, cross, vv = foretold(rays[labels[i]], uv[i], J[i], P, own)
         for j in range(rays.shape[0]):
             more = variance[j] + blur - own
-            if j != labels[i] and distance(rays[j], u, v, uu + more, cross, vv + more) <= rival_gate**2:
+            if j != labels[i] and distance(rays[j], u, v, uu + more, cross, vv + more) <= d2 + 2.0 * rival_odds:
                 contested[i] = True
     for i in range(labels.shape[0]):
         if contested[i]:
@@ -135,63 +135,80 @@ def leave_out_rivals(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, u
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def score(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, prior: NDArray[np.float64], log_prior: Vec,
-          gain: Vec, d: Vec, uv: Mat, J: NDArray[np.float64], log_det: float) -> float:
-    """Return the log of how much likelier the labels are than that no detection is a marker (Laplace, over the pose)."""
-    best = -np.inf
+def likelier_prior(prior: NDArray[np.float64], log_prior: Vec, d: Vec) -> tuple[int, float]:
+    """Return which prior a deviation d (6,) more likely comes from, and the log density there."""
+    best, which = -np.inf, 1
     for k in range(2):
         total = log_prior[k]
         for a in range(6):
             for b in range(6):
                 total -= 0.5 * d[a] * prior[k, a, b] * d[b]
-        best = max(best, total)
-    total = best + 0.5 * (6.0 * LOG_2PI - log_det)
+        if total > best:
+            best, which = total, k
+    return which, best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def score(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, log_prior: float, gain: Vec, uv: Mat,
+          J: NDArray[np.float64], log_det: float) -> float:
+    """Return the log of how much likelier the labels are than that no detection is a marker.
+
+    By Laplace's method over the pose; ``log_prior`` is the prior's log density at the fit, ``log_det`` that of its
+    information.
+    """
+    total, count = log_prior + 0.5 * (6.0 * LOG_2PI - log_det), 0
     for i in range(labels.shape[0]):
         j = labels[i]
         if j >= 0:
             own = variance[j] + (map_sigma * J[i, 0, 0]) ** 2
             squared = (rays[j, 0] - uv[i, 0]) ** 2 + (rays[j, 1] - uv[i, 1]) ** 2
             total += gain[j] - LOG_2PI - np.log(own) - 0.5 * squared / own
-    return total
+            count += 1
+    return total if count > 0 else -np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def settle(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Mat, t0: Vec, prior: NDArray[np.float64],
-           log_prior: Vec, which: int, gain: Vec, limits: Vec, labels: Ints, d: Vec, R: Mat, t: Vec,
-           P: Mat) -> tuple[float, int]:
+           log_prior: Vec, which: int, gain: Vec, limits: Vec, barred: int, fitting: Ints, labels: Ints, d: Vec, R: Mat,
+           t: Vec, P: Mat) -> float:
     """Fit, drop what does not fit, label anew at the fitted pose, until nothing changes; then leave out what is unsure.
 
-    ``labels`` and ``d`` are the start and the answer; ``prior[which]`` counts in the fit. Writes R, t, P of the pose.
-    Returns the score of the labels (-inf when none are left) and how many were left out because of rivals.
+    ``fitting`` (n,) and ``d`` (6,) are the start; ``prior[which]`` counts until the pose tells which is likelier. The
+    label ``fitting[barred]`` of the start is not given again; -1 bars none.
+    Writes into ``fitting`` all labels that one pose explains, into ``labels`` those of them that are sure, and d, R, t,
+    P of the pose of the sure ones. Returns the score of ``fitting``; -inf when there is none.
     """
     n, m = points.shape[0], rays.shape[0]
     uv, J, squared = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, m))
-    fresh = np.empty(n, dtype=np.int64)
-    information = prior[which]
-    log_det = np.nan
+    barred_detection = -1
+    if barred >= 0:
+        barred_detection = fitting[barred]
+        fitting[barred] = -1
+    labels[:] = -1
     for _ in range(ROUNDS):
-        log_det = fit(points, rays, variance, map_sigma, labels, R0, t0, information, d, R, t, P, uv, J)
-        while np.isfinite(log_det) and drop_worst(rays, variance, map_sigma, labels, uv, J, P, limits[0], np.inf):
-            log_det = fit(points, rays, variance, map_sigma, labels, R0, t0, information, d, R, t, P, uv, J)
+        log_det = fit(points, rays, variance, map_sigma, fitting, R0, t0, prior[which], d, R, t, P, uv, J)
+        while np.isfinite(log_det) and drop_worst(rays, variance, map_sigma, fitting, uv, J, P, gain, limits[0], -np.inf):
+            log_det = fit(points, rays, variance, map_sigma, fitting, R0, t0, prior[which], d, R, t, P, uv, J)
         if not np.isfinite(log_det):
-            labels[:] = -1
-            return -np.inf, 0
+            return -np.inf
+        likelier, density = likelier_prior(prior, log_prior, d)
         squared_distances(rays, variance, map_sigma, uv, J, P, limits[0], squared)
-        mutual(squared, fresh)
-        if np.array_equal(fresh, labels):
+        if barred >= 0:
+            squared[barred, barred_detection] = np.inf
+        mutual(squared, labels)
+        if likelier == which and np.array_equal(fitting, labels):
             break
-        labels[:] = fresh
-    rivals, changed = 0, True
+        which = likelier
+        fitting[:] = labels
+    total = score(rays, variance, map_sigma, fitting, density, gain, uv, J, log_det)
+    labels[:] = fitting
+    changed = True
     while changed:
-        contested = leave_out_rivals(rays, variance, map_sigma, labels, uv, J, P, limits[1])
-        rivals += contested
-        if contested == 0:
-            changed = drop_worst(rays, variance, map_sigma, labels, uv, J, P, limits[0], limits[2])
+        changed = leave_out_rivals(rays, variance, map_sigma, labels, uv, J, P, limits[1]) > 0
+        changed = changed or drop_worst(rays, variance, map_sigma, labels, uv, J, P, gain, limits[0], limits[2])
         if changed:
-            log_det = fit(points, rays, variance, map_sigma, labels, R0, t0, information, d, R, t, P, uv, J)
+            log_det = fit(points, rays, variance, map_sigma, labels, R0, t0, prior[which], d, R, t, P, uv, J)
             if not np.isfinite(log_det):
                 labels[:] = -1
-                return -np.inf, rivals
-    if labels.max() < 0:
-        return -np.inf, rivals
-    return score(rays, variance, map_sigma, labels, prior, log_prior, gain, d, uv, J, log_det), rivals
+                changed = False
+    return total

@@ -50,7 +50,7 @@ class Labels:
 
     ``labels`` (n,) index into the detections, -1 without one. ``T_cam_tanker`` the pose that explains them, ``cov``
     (6, 6) its covariance (translation in m, rotation in rad, camera axes, left perturbation); the prior's when not
-    verified. ``agreed`` how many labels; ``contested`` how many were left out because another detection fits as well.
+    verified. ``agreed`` how many labels; ``left_out`` how many more would fit, but are not sure.
     ``score`` log of how much likelier than chance; ``margin`` what is between it and the best set of labels that
     contradicts it, infinite when none was found. ``searched`` whether the prior's assignment was not enough.
     """
@@ -62,7 +62,7 @@ class Labels:
     ambiguous: bool
     reason: str
     agreed: int
-    contested: int
+    left_out: int
     score: float
     margin: float
     searched: bool
@@ -83,13 +83,14 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A set of labels with the pose that explains it."""
+    """All labels that one pose explains, their score, those of them that are sure, and the pose of these."""
 
+    fitting: Ints
+    score: float
     labels: Ints
     T: SE3
     cov: Mat
-    score: float
-    contested: int
+    deviation: Vec
 
 
 def label_robust(
@@ -119,11 +120,12 @@ def label_robust(
         return refused(scene, prior_T_cam_tanker, cov_prior, "no_detections")
     first, sure = at_the_prior(scene, prior_T_cam_tanker, cov_prior, priors, limits, config)
     if sure:
-        return conclude(scene, [first], prior_T_cam_tanker, cov_prior, config, searched=False)
+        return conclude(scene, [first], prior_T_cam_tanker, cov_prior, config, config.min_agree, searched=False)
     sigma_rad = float(np.sqrt(np.trace(cov_prior[3:, 3:]) / 3.0))
     reach_m = config.gate_sigma * config.gross_sigma_m
     found = by_consensus(scene, prior_T_cam_tanker, priors, limits, config, (reach_m, sigma_rad, config.max_range_m))
-    return conclude(scene, [first, *found], prior_T_cam_tanker, cov_prior, config, searched=True)
+    found = challenged(scene, [first, *found], prior_T_cam_tanker, priors, limits, config)
+    return conclude(scene, found, prior_T_cam_tanker, cov_prior, config, config.min_agree, searched=True)
 
 
 def scene_of(points_tanker: Mat, uv: Mat, sigma: Vec, config: LabelingConfig, weight: Vec | None) -> Scene:
@@ -151,8 +153,8 @@ def scene_of(points_tanker: Mat, uv: Mat, sigma: Vec, config: LabelingConfig, we
 
 
 def limits_of(config: LabelingConfig) -> Vec:
-    """Return the limits of ``label_kernel`` in sigmas."""
-    return np.array([config.gate_sigma, config.rival_sigma, config.widest_sigma])
+    """Return the limits of ``label_kernel``."""
+    return np.array([config.gate_sigma, config.min_rival_odds, config.min_label_odds])
 
 
 def priors_of(prior: SE3, cov_prior: Mat, config: LabelingConfig) -> tuple[Mat, Vec] | None:
@@ -193,12 +195,12 @@ def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], li
         limits[0], labels)
     if not plain:
         labels = assign(squared, log_det, scene.gain)
-    d, R, t, P = np.zeros(6), np.empty((3, 3)), np.empty(3), np.empty((6, 6))
-    score, rivals = settle(scene.points, scene.rays, scene.variance, config.map_sigma_m, R0, t0, *priors, 0, scene.gain,
-                           limits, labels, d, R, t, P)
-    agreed = int(np.count_nonzero(labels >= 0))
-    sure = agreed >= max(config.min_agree + 1, min(n, m)) and score > config.min_score
-    return Candidate(labels, SE3(R, t), P, score, rivals), sure
+    d, R, t, P, sure = np.zeros(6), np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty(n, dtype=np.int64)
+    score = settle(scene.points, scene.rays, scene.variance, config.map_sigma_m, R0, t0, *priors, 0, scene.gain,
+                   limits, -1, labels, sure, d, R, t, P)
+    agreed = int(np.count_nonzero(sure >= 0))
+    enough = agreed >= max(config.min_agree + 1, min(n, m)) and score > config.min_score
+    return Candidate(labels, score, sure, SE3(R, t), P, d), enough
 
 
 def assign(squared: Mat, log_det: Vec, gain: Vec) -> Ints:
@@ -223,48 +225,55 @@ def by_consensus(scene: Scene, prior: SE3, priors: tuple[Mat, Vec], limits: Vec,
     order = order[votes[order] > 0.0]
     starts = np.zeros((len(order), 6))
     starts[:, :3] = t[order] - t0
-    return settled(scene, prior, priors, limits, config, starts, labels[order])
+    return settled(scene, prior, priors, limits, config, starts, labels[order], np.full(len(order), -1))
 
 
-def settled(scene: Scene, origin: SE3, priors: tuple[Mat, Vec], limits: Vec, config: LabelingConfig, starts: Mat,
-            labels: Ints) -> list[Candidate]:
-    """Settle candidates from deviations (k, 6) and labels (k, n), with the prior that may be grossly wrong."""
-    k = len(starts)
-    d, R, t, P = np.empty((k, 6)), np.empty((k, 3, 3)), np.empty((k, 3)), np.empty((k, 6, 6))
-    scores, rivals = np.empty(k), np.zeros(k, dtype=np.int64)
+def settled(scene: Scene, origin: SE3, priors: tuple[Mat, Vec], limits: Vec, config: LabelingConfig, d: Mat,
+            fitting: Ints, barred: Ints) -> list[Candidate]:
+    """Settle candidates from deviations d (k, 6), labels (k, n), and a marker (k,) that must find another label."""
+    k = len(d)
+    sure, scores = np.empty(fitting.shape, dtype=np.int64), np.empty(k)
+    R, t, P = np.empty((k, 3, 3)), np.empty((k, 3)), np.empty((k, 6, 6))
     settle_all(scene.points, scene.rays, scene.variance, config.map_sigma_m, np.ascontiguousarray(origin.R),
-               np.ascontiguousarray(origin.t), *priors, scene.gain, limits, starts, labels, d, R, t, P, scores, rivals)
-    return [Candidate(labels[i], SE3(R[i], t[i]), P[i], scores[i], rivals[i]) for i in range(k)]
+               np.ascontiguousarray(origin.t), *priors, scene.gain, limits, barred, fitting, sure, d, R, t, P,
+               scores)
+    return [Candidate(fitting[i], float(scores[i]), sure[i], SE3(R[i], t[i]), P[i], d[i]) for i in range(k)]
 
 
-def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, config: LabelingConfig, *,
-             searched: bool) -> Labels:
-    """Take the best set of labels if it is good enough and clearly better than those that contradict it."""
+def challenged(scene: Scene, found: list[Candidate], prior: SE3, priors: tuple[Mat, Vec], limits: Vec,
+               config: LabelingConfig) -> list[Candidate]:
+    """Add to the candidates what becomes of the best one when any one of its labels is taken for wrong."""
     best = max(found, key=lambda c: c.score)
+    used = np.flatnonzero(best.fitting >= 0)
+    starts, labels = np.tile(best.deviation, (len(used), 1)), np.tile(best.fitting, (len(used), 1))
+    return found + settled(scene, prior, priors, limits, config, starts, labels, used)
+
+
+def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, config: LabelingConfig, least: int, *,
+             searched: bool) -> Labels:
+    """Take the best set of labels if it is good enough, without what comparable sets see differently."""
+    best = max(found, key=lambda c: c.score)
+    if np.count_nonzero(best.labels >= 0) < least or not best.score > config.min_score:
+        return refused(scene, prior, cov_prior, "few_agree", searched=searched)
     labels, margin = best.labels, np.inf
     for other in found:
-        if other is not best and contradicts(best.labels, other.labels):
+        if contradict(best.fitting, other.fitting):
             margin = min(margin, best.score - other.score)
             if best.score - other.score < config.min_margin:
-                labels = np.where(labels == other.labels, labels, -1)
+                labels = np.where(labels == other.fitting, labels, -1)
     agreed = int(np.count_nonzero(labels >= 0))
-    enough = config.min_agree
-    if np.count_nonzero(best.labels >= 0) < enough or not best.score > config.min_score:
-        return refused(scene, prior, cov_prior, "few_agree", searched=searched)
-    if agreed < enough:
+    if agreed < least:
         return refused(scene, prior, cov_prior, "ambiguous", searched=searched)
     full = np.full(scene.n_markers, -1, dtype=np.int64)
     full[scene.marker] = np.where(labels >= 0, scene.detection[labels], -1)
-    return Labels(full, best.T, best.cov, True, False, "", agreed, int(best.contested), best.score, margin, searched)
+    left_out = int(np.count_nonzero(best.fitting >= 0)) - agreed
+    return Labels(full, best.T, best.cov, True, False, "", agreed, left_out, best.score, margin, searched)
 
 
-def contradicts(a: Ints, b: Ints) -> bool:
-    """Say whether two sets of labels give a marker two detections, or a detection two markers."""
-    both = (a >= 0) & (b >= 0)
-    if bool(np.any(a[both] != b[both])):
-        return True
-    place = {int(j): i for i, j in enumerate(a) if j >= 0}
-    return any(place.get(int(j), i) != i for i, j in enumerate(b) if j >= 0)
+def contradict(a: Ints, b: Ints) -> bool:
+    """Say whether each of two sets holds a label that the other lacks; a smaller set of the same is no rival."""
+    differ = a != b
+    return bool(np.any(differ & (a >= 0)) and np.any(differ & (b >= 0)))
 
 
 def refused(scene: Scene, prior: SE3, cov: Mat, reason: str, *, searched: bool = False) -> Labels:
