@@ -78,8 +78,16 @@ PIXEL_VARIANCE = 1.0 / 12.0
 """Second moment of a pixel about its own middle in px^2."""
 
 WHOLE_ELONGATION = 1.35
-SIGMA_PX, SIGMA_SATURATED_PX = 0.008, 0.028
-"""What is left of a centroid's error without noise: rounding, surroundings; where red clips, the shape of its edge."""
+SIGMA_PX, SIGMA_RIM_PX, SIGMA_SATURATED_PX = 0.006, 0.012, 0.07
+"""What is left of a centroid's error without noise. Where red clips, the rim that still tells the share narrows, the
+more so the brighter its surroundings are: SIGMA_SATURATED_PX times their brightness. Fitted to traced pictures.
+"""
+
+WASHED_OUT, EVEN_WHITE = 0.9, 0.3
+SIGMA_WASHED_PX, SIGMA_UNEVEN_PX = 0.12, 0.2
+"""Surroundings brighter than WASHED_OUT hide the rim; worse where less than EVEN_WHITE of them are white, that is, on
+one side only.
+"""
 
 
 class BlobFlag(IntFlag):
@@ -214,7 +222,7 @@ def describe(
     radius = np.sqrt(table[:, blob.TOTAL] / np.pi)
     flags = flag(shape, boxes, table, elongation, config)
     blobs = Blobs(table[:, [blob.U, blob.V]], boxes[:, kernels.AREA].astype(np.float64),
-                  sigma_of(table, flags, radius, noise), radius, elongation, table[:, blob.PEAK], flags)
+                  sigma_of(table, flags, noise), radius, elongation, table[:, blob.PEAK], flags)
     return blobs.take((flags & CLUTTER) == 0) if config.reject_clutter else blobs
 
 
@@ -231,7 +239,7 @@ def flag(
     for name, holds in (
         (BlobFlag.BORDER, border),
         (BlobFlag.SATURATED, table[:, blob.CLIPPED] > 0),
-        (BlobFlag.WASHED, table[:, blob.WHITE] > 0),
+        (BlobFlag.WASHED, table[:, blob.BRIGHT] > WASHED_OUT),
         (BlobFlag.MISSHAPEN, elongation > WHOLE_ELONGATION),
         (BlobFlag.HOT, (table[:, blob.TOTAL] < HOT_AREA) & ~border),
         (BlobFlag.GLINT, table[:, blob.CORE] < WHITE_CORE),
@@ -246,9 +254,15 @@ def flag(
     return flags
 
 
-def sigma_of(table: Mat, flags: NDArray[np.uint8], radius: Vec, noise: float) -> Vec:
-    """Return the standard deviation (m,) of the centroids per axis in px."""
-    variance = (REDNESS_NOISE * noise) ** 2 * 0.5 * (table[:, blob.NOISE_U] + table[:, blob.NOISE_V])
-    saturated = (flags & BlobFlag.SATURATED) > 0
-    variance += np.where(saturated, SIGMA_SATURATED_PX, SIGMA_PX) ** 2
-    return np.sqrt(variance)
+def sigma_of(table: Mat, flags: NDArray[np.uint8], noise: float) -> Vec:
+    """Return the standard deviation (m,) of the centroids per axis in px: noise, and what clipping does to the rim.
+
+    The share that a pixel is weighted with is a difference of two pixels' redness, its own and its surroundings'.
+    """
+    variance = (2.0**0.5 * REDNESS_NOISE * noise) ** 2 * 0.5 * (table[:, blob.NOISE_U] + table[:, blob.NOISE_V])
+    saturated, washed = (flags & BlobFlag.SATURATED) > 0, (flags & BlobFlag.WASHED) > 0
+    white = table[:, blob.WHITE]
+    uneven = np.where(white > 0, np.maximum(0.0, 1.0 - white / EVEN_WHITE), 0.0)
+    floor = np.where(saturated, np.maximum(SIGMA_SATURATED_PX * table[:, blob.BRIGHT], SIGMA_RIM_PX), SIGMA_PX)
+    floor = np.where(washed, SIGMA_WASHED_PX + SIGMA_UNEVEN_PX * uneven, floor)
+    return np.sqrt(variance + floor**2)
