@@ -19,11 +19,23 @@ import numpy as np
 
 from companion.geometry import SE3, Mat
 from companion.vision.absolute_orientation import rotation_svd
-from companion.vision.lhm_kernel import NOT_A_ROTATION, NOT_FINITE, OK, ON_A_LINE, ONE_RAY, Iterated, fold, iterate
+from companion.vision.lhm_kernel import (
+    FEW_POINTS,
+    NOT_A_ROTATION,
+    NOT_FINITE,
+    OK,
+    ON_A_LINE,
+    ONE_RAY,
+    WRONG_SHAPE,
+    solve_from,
+)
+from companion.vision.lhm_search import MAX_MINIMA, ROW, search
 
 METHODS = {"svd": 0, "quaternion": 1}
 
 COMPLAINTS = {
+    WRONG_SHAPE: "points_tanker must be (n, 3) and uv (n, 2)",
+    FEW_POINTS: "a pose needs at least 3 points",
     NOT_FINITE: "points_tanker, uv and R_init must be finite numbers",
     ON_A_LINE: "points_tanker lie on one line: they do not fix a pose",
     ONE_RAY: "uv are all the same point: they do not fix a pose",
@@ -37,6 +49,7 @@ class LhmResult:
 
     ``object_error`` RMS distance of the markers from their lines of sight in m; ``image_error`` RMS distance on the
     plane z = 1; ``converged`` says that the stopping rule was met and that all markers are before the camera.
+    ``iterations`` counts absolute orientations, as the listing does, and, without a start, the steps before them.
     """
 
     T_cam_tanker: SE3
@@ -53,71 +66,97 @@ def solve_lhm(
     tol: float = 1e-5,
     epsilon: float = 1e-8,
     method: Literal["svd", "quaternion"] = "svd",
+    start: Literal["global", "weak_perspective"] = "global",
 ) -> LhmResult:
     """Return the pose that brings markers (n, 3), m, tanker axes, nearest to their lines of sight (thesis eq. 6.18).
 
     ``uv`` (n, 2) are the markers seen on the plane z = 1, undistorted; n >= 3, though the thesis asks for 5 (6.3).
-    ``R_init`` is where R_cam_tanker starts, usually the last frame's; None starts from several rotations and keeps the
-    best (``cold``). Iterates until the sum of squared errors is at most ``epsilon`` m^2
+    ``R_init`` is where R_cam_tanker starts, usually the last frame's. Without it ``start`` says how to begin:
+    ``global`` finds all minima and returns the best (``solve_lhm_minima``), ``weak_perspective`` is the thesis' start
+    (6.2.5), good for far and shallow scenes only. Iterates until the sum of squared errors is at most ``epsilon`` m^2
     or changes by a fraction of at most ``tol`` (thesis 6.3). ``method`` svd takes the rotation of the guarded SVD, by
     its closed form; quaternion takes Horn's.
 
     Raises ValueError for wrong shapes, numbers that are not finite, points on one line, rays that coincide.
     """
-    points = np.ascontiguousarray(points_tanker, dtype=np.float64)
-    rays = np.ascontiguousarray(uv, dtype=np.float64)
-    check_points(points, rays)
+    points, rays = as_floats(points_tanker, 2), as_floats(uv, 2)
+    kernel = kernel_of(method)
+    began = 0
+    if R_init is None:
+        if start == "global":
+            table = np.empty((1, ROW))
+            minima(points, rays, tol, epsilon, kernel, table)
+            return unpack(table[0])
+        if start != "weak_perspective":
+            msg = f"start must be 'global' or 'weak_perspective', not {start!r}"
+            raise ValueError(msg)
+        R_init, began = weak_perspective_rotation(points, rays), 1
+    R0, R, t = as_floats(R_init, 2), np.empty((3, 3)), np.empty(3)
+    status, iterations, object_error, image_error, converged = solve_from(
+        points, rays, R0, float(tol), float(epsilon), kernel, R, t
+    )
+    if status != OK:
+        raise ValueError(complaint(status, points, rays))
+    return LhmResult(SE3(R, t), began + iterations, object_error, image_error, converged)
+
+
+def solve_lhm_minima(
+    points_tanker: Mat,
+    uv: Mat,
+    tol: float = 1e-5,
+    epsilon: float = 1e-8,
+    method: Literal["svd", "quaternion"] = "svd",
+) -> tuple[LhmResult, ...]:
+    """Return the distinct minima of the object-space error with all markers before the camera, the best one first.
+
+    More than one is the usual thing for few markers, and for flat sets of markers far away two can be about equally
+    good: then only something else, a prior, can tell which is true. Minima less than 0.02 rad apart are one. Empty
+    when there is none before the camera. Arguments and ValueError as for ``solve_lhm``.
+    """
+    points, rays = as_floats(points_tanker, 2), as_floats(uv, 2)
+    table = np.empty((MAX_MINIMA, ROW))
+    count = minima(points, rays, tol, epsilon, kernel_of(method), table)
+    found = (unpack(row) for row in table[:count] if row[16])
+    return tuple(sorted(found, key=lambda result: result.object_error))
+
+
+def minima(points: Mat, uv: Mat, tol: float, epsilon: float, kernel: int, table: Mat) -> int:
+    """Write minima into table (k, ROW), return how many; ValueError when the points do not fix a pose."""
+    status, count = search(points, uv, float(tol), float(epsilon), kernel, table)
+    if status != OK:
+        raise ValueError(complaint(status, points, uv))
+    return count
+
+
+def unpack(row: Mat) -> LhmResult:
+    """Turn a row of the search into a result."""
+    iterations, object_error, image_error, settled, ahead = row[12:].tolist()
+    T = SE3(row[:9].reshape(3, 3).copy(), row[9:12].copy())
+    return LhmResult(T, int(iterations), object_error, image_error, bool(settled and ahead))
+
+
+def as_floats(a: Mat, dimensions: int) -> Mat:
+    """Return a as a contiguous float64 array; ValueError unless it has so many dimensions."""
+    floats = np.ascontiguousarray(a, np.float64)
+    if floats.ndim != dimensions:
+        msg = f"points_tanker must be (n, 3), uv (n, 2) and R_init (3, 3); one of them is {floats.shape}"
+        raise ValueError(msg)
+    return floats
+
+
+def kernel_of(method: str) -> int:
+    """Return the number of a kernel; ValueError when there is none of that name."""
     if method not in METHODS:
         msg = f"method must be 'svd' or 'quaternion', not {method!r}"
         raise ValueError(msg)
-    if R_init is None:
-        return cold(points, rays, tol, epsilon, METHODS[method])
-    R0 = np.ascontiguousarray(R_init, dtype=np.float64)
-    if R0.shape != (3, 3):
-        raise ValueError(COMPLAINTS[NOT_A_ROTATION])
-    return unpack(len(points), iterate(points, rays, R0, tol, epsilon, METHODS[method]))
+    return METHODS[method]
 
 
-def check_points(points: Mat, uv: Mat) -> None:
-    """Raise ValueError unless points are (n, 3) and uv (n, 2) with n >= 3."""
-    if points.ndim != 2 or points.shape[1] != 3 or uv.shape != (points.shape[0], 2):
-        msg = f"points_tanker must be (n, 3) and uv (n, 2), not {points.shape} and {uv.shape}"
-        raise ValueError(msg)
-    if points.shape[0] < 3:
-        msg = f"a pose needs at least 3 points, not {points.shape[0]}"
-        raise ValueError(msg)
-
-
-def unpack(n: int, iterated: Iterated) -> LhmResult:
-    """Turn what ``iterate`` returns into a result or into a ValueError."""
-    status, R, t, iterations, squared_object, squared_image, settled, ahead = iterated
-    if status != OK:
-        raise ValueError(COMPLAINTS[status])
-    errors = (squared_object / n) ** 0.5, (squared_image / n) ** 0.5
-    return LhmResult(SE3(R, t), iterations, *errors, settled and ahead)
-
-
-def cold(points: Mat, uv: Mat, tol: float, epsilon: float, method: int) -> LhmResult:
-    """Iterate from several starts and return the lowest error, poses with all markers before the camera first.
-
-    E = r^T Omega r for any r, with Omega = diag(S, S, S) - H and S the scatter matrix of the points. Starts are the
-    proper rotations nearest to plus and minus an eigenvector of Omega, smallest eigenvalue first: the idea of SQPnP
-    (Terzakis, Lourakis 2020). Three eigenvectors are always tried, further ones while the best error is above what
-    theirs could be, 3 times the eigenvalue.
-    """
-    status, H, _, _, _, p, _ = fold(points, uv)
-    if status != OK:
-        raise ValueError(COMPLAINTS[status])
-    values, vectors = np.linalg.eigh(np.kron(np.eye(3), p.T @ p) - 0.5 * (H + H.T))
-    best: Iterated | None = None
-    for k in range(9):
-        if k >= 3 and best is not None and best[7] and best[4] <= 3.0 * values[k]:
-            break
-        axis = np.ascontiguousarray(vectors[:, k]).reshape(3, 3)
-        tries = [iterate(points, uv, rotation_svd(sign * axis), tol, epsilon, method) for sign in (1.0, -1.0)]
-        best = min(tries if best is None else [best, *tries], key=lambda it: (not it[7], it[4]))
-    assert best is not None
-    return unpack(len(points), best)
+def complaint(status: int, points: Mat, uv: Mat) -> str:
+    """Say in words what a kernel found wrong."""
+    if status in {WRONG_SHAPE, FEW_POINTS}:
+        return f"{COMPLAINTS[status]}, not {points.shape} and {uv.shape}"
+    return COMPLAINTS[status]
 
 
 def weak_perspective_rotation(points_tanker: Mat, uv: Mat) -> Mat:

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from companion.geometry import SE3, exp_so3
 from companion.vision.absolute_orientation import (
+    LARGEST_ROOT,
     absolute_orientation,
     rotation_closed_form,
     rotation_quaternion,
@@ -15,9 +16,9 @@ from companion.vision.absolute_orientation import (
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def closed_form(M):
-    r = np.empty(9)
-    return r.reshape(3, 3) if rotation_closed_form(M.reshape(9), r) else None
+def closed_form(M, guess=LARGEST_ROOT):
+    found, r, _ = rotation_closed_form(tuple(M.ravel()), guess)
+    return np.reshape(r, (3, 3)) if found else None
 
 
 SINGULAR_VALUES = [(1.0, 0.7, 0.4), (1.0, 0.9, -0.3), (1.0, 0.5, 0.0), (1.0, 1.0, 1.0)]

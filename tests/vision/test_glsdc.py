@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.geometry import SE3, R_cam_crf, exp_so3, rotation_from_euler
-from companion.vision.glsdc import image_and_jacobian, solve_glsdc, solve_spd
+from companion.vision.glsdc import solve_glsdc
+from companion.vision.glsdc_kernel import attitude, see, solve_spd
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -17,6 +18,16 @@ def seen(points, T, rng, noise_px=0.3):
 
 def near(T, rng, metres=2.0, radians=0.03):
     return SE3(exp_so3(rng.normal(0, radians, 3)) @ T.R, T.t + rng.normal(0, metres, 3))
+
+
+def image_and_jacobian(points, X):
+    """G (n, 2), its Jacobian (2 n, 6) and the smallest depth, marker by marker as the kernel goes."""
+    J, rows, seen_at = np.empty((2, 6)), [], []
+    for i in range(len(points)):
+        seen_at.append(see(points, i, X, *attitude(X), J))
+        rows.append(J.copy())
+    seen_at = np.array(seen_at)
+    return seen_at[:, :2], np.vstack(rows), seen_at[:, 2].min()
 
 
 @settings(deadline=None)
@@ -121,5 +132,5 @@ def test_wrong_input_is_refused_in_words(markers, approach_pose):
         solve_glsdc(markers, uv, T, weights=-np.ones(9))
     with pytest.raises(ValueError, match=r"weights must be \(9,\)"):
         solve_glsdc(markers, uv, T, weights=np.ones(18))
-    with pytest.raises(ValueError, match="at least 3"):
+    with pytest.raises(ValueError, match="at least 4"):
         solve_glsdc(markers[:2], uv[:2], T)
