@@ -190,7 +190,7 @@ def test_named_file_that_is_missing_is_told_by_its_path(tmp_path: Path, file: st
         ("airframe", {"A": [[0.0] * 9] * 8}, "9 rows of 9"),
         ("airframe", {"B": [[0.0] * 9] * 9}, "9 rows of 10"),
         ("companion", {"fusion": {"d1_m": 10.0, "d2_m": 20.0}}, "d1_m must be larger"),
-        ("companion", {"fusion": {"min_markers": 3}}, "min_markers"),
+        ("companion", {"fusion": {"min_markers": 1}}, "min_markers"),
         ("companion", {"guidance": {"rate_hz": 1.0}}, "guidance.rate_hz"),
         ("companion", {"vision": {"detection": {"threshold": 300}}}, "threshold"),
     ],

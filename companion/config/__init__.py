@@ -27,6 +27,7 @@ from companion.config.structures import (
     Vec3,
     VisionConfig,
     WindowConfig,
+    landmarks,
 )
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
     "VisionConfig",
     "WindowConfig",
     "assemble",
+    "landmarks",
     "load",
     "load_setup",
 ]

@@ -8,16 +8,24 @@ import math
 import msgspec
 import numpy as np
 
-from companion.config.structures import AirframeConfig, CameraConfig, CompanionConfig, CornerConfig, TankerConfig
+from companion.config.structures import (
+    AirframeConfig,
+    CameraConfig,
+    CompanionConfig,
+    CornerConfig,
+    TankerConfig,
+    landmarks,
+)
 
 Rules = list[tuple[bool, str]]
 """What has to hold of values that are of the right type, and what to say when it does not."""
 
 
 def enough_markers(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
-    """Return that the tanker has as many lights as a pose is asked to have."""
-    most = max(c.vision.min_markers, c.fusion.min_markers)
-    return most <= len(t.markers), f"min_markers {most}, and the tanker has {len(t.markers)} markers"
+    """Return that the tanker has as many lights, or corners, as a pose is asked to have."""
+    most, there = max(c.vision.min_markers, c.fusion.min_markers), len(landmarks(t, c.vision))
+    what = "corners" if c.vision.detector == "corners" else "markers"
+    return most <= there, f"min_markers {most}, and the tanker has {there} {what}"
 
 
 def enough_detections(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
@@ -131,7 +139,8 @@ def companion_rules(c: CompanionConfig) -> Rules:
     ids = (links.system_id, links.component_id, links.autopilot_component_id, links.gcs_system_id)
     return [
         (fusion.d1_m > fusion.d2_m > 0, "fusion: d1_m must be larger than d2_m, both in metres"),
-        (fusion.min_markers >= 4, "fusion.min_markers must be at least 4"),
+        (fusion.min_markers >= 2, "fusion.min_markers must be at least 2"),
+        *corner_rules(c.vision.corners),
         (c.vision.min_markers >= 4, "vision.min_markers must be at least 4"),
         (min(fusion.vision_stale_s, fusion.own_stale_s, fusion.tanker_stale_s) > 0,
          "fusion: vision_stale_s, own_stale_s and tanker_stale_s must be positive seconds"),

@@ -123,13 +123,13 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     shading add to the noise, per axis.
     """
 
-    gate_px: float = 20.0
+    gate_px: float = 24.0
     min_gradient: float = 4.0
     apart_px: int = 3
     radius_px: int = 4
     max_per_window: int = 6
     max_detections: int = 80
-    sigma_floor_px: float = 0.5
+    sigma_floor_px: float = 0.4
 
 
 class LabelingConfig(Struct, frozen=True, kw_only=True):
@@ -169,7 +169,9 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
 
 
 class VisionConfig(Struct, frozen=True, kw_only=True):
-    """Labeling and pose. ``mode`` rv uses the picture, sv the projected markers (thesis 4.2.5).
+    """Detection, labeling and pose. ``mode`` rv uses the picture, sv the projected markers (thesis 4.2.5).
+
+    ``detector``: whether the tanker's lights are looked for, or the corners of its airframe (thesis 1).
 
     ``refine`` follows the solver by maximum likelihood (``companion.vision.refinement``) and gives a covariance, for
     centroids of ``sigma_px`` standard deviation per axis: a floor that has calibration and marker map in it too (a
@@ -179,6 +181,7 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
     attitude than ``max_sigma_rad``, or when markers fit it worse than noise makes them with ``residual_probability``.
     """
 
+    detector: Literal["lights", "corners"] = "lights"
     solver: Literal["lhm", "glsdc"] = "lhm"
     mode: Literal["rv", "sv"] = "rv"
     method: Literal["svd", "quaternion"] = "svd"
@@ -197,15 +200,24 @@ class VisionConfig(Struct, frozen=True, kw_only=True):
     residual_probability: float = 1e-6
     detection: DetectionConfig = DetectionConfig()
     labeling: LabelingConfig = LabelingConfig()
+    corners: CornerConfig = CornerConfig()
+
+
+def landmarks(tanker: TankerConfig, vision: VisionConfig) -> tuple[MarkerConfig | CornerPointConfig, ...]:
+    """Return the places on the tanker that the vision looks for: its lights, or the corners of its airframe."""
+    return tanker.corners if vision.detector == "corners" else tanker.markers
 
 
 class FusionConfig(Struct, frozen=True, kw_only=True):
-    """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``."""
+    """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``.
+
+    A pose counts from ``min_markers`` markers: five in the thesis; here the vision itself says when it has a pose.
+    """
 
     method: Literal["blend"] = "blend"
     d1_m: float = 55.0
     d2_m: float = 40.0
-    min_markers: int = 5
+    min_markers: int = 2
     vision_stale_s: float = 0.3
     own_stale_s: float = 0.3
     tanker_stale_s: float = 1.0

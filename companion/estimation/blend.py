@@ -5,8 +5,8 @@ Rules
 * Angles come from the two INUs, always. Vision corrects the translation only.
 * ``t = w t_gps + (1 - w) t_mv`` with ``w = (d - d2) / (d1 - d2)`` clipped to 0..1 and d the distance camera to tanker:
   all GPS at d1 and beyond, all vision at d2 and nearer (the text prints the interval the wrong way round).
-* Vision counts with at least ``min_markers`` markers (five). Without it the last blend is carried on by the inertial
-  velocities for ``vision_stale_s``; after that GPS alone is left.
+* Vision counts with at least ``min_markers`` markers (five in the thesis). Without it the last blend is carried on by
+  the inertial velocities for ``vision_stale_s``; after that GPS alone is left.
 * The blend, carried to the next exposure, is the next frame's prior (predicted markers, start rotation).
 * Both aircraft are brought to the instant of the exposure first (``alignment``).
 """

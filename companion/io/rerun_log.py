@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from companion.config import Setup
+from companion.config import Setup, landmarks
 from companion.geometry import Mat
 from companion.io.rerun_scene import (
     AXES,
@@ -293,7 +293,7 @@ def detection_labels(output: VisionOutput, setup: Setup) -> list[str]:
     """Return for each detection the id of the marker it was labelled as, or an empty string."""
     labels = [""] * len(output.detections.uv_px)
     if output.pose is not None:
-        for marker, index in zip(setup.tanker.markers, output.pose.labels, strict=True):
+        for marker, index in zip(landmarks(setup.tanker, setup.config.vision), output.pose.labels, strict=True):
             if index >= 0:
                 labels[index] = str(marker.id)
     return labels

@@ -7,7 +7,7 @@ gives no pose gives a ``Reject`` that says why; nothing here raises on what come
 reason                    meaning
 ========================= ============================================================================================
 ``frame_size``            the picture is not (height, width, 3) of the camera's configuration, or not uint8
-``prior_not_finite``      the prior pose has a NaN or an infinity
+``prior_not_finite``      the prior pose has a NaN or an infinity, or is too far away to be one
 ``few_markers``           fewer markers labelled than ``min_markers`` (thesis: 5 for LHM, 4 for GLSDC), and than
                           ``min_markers_ins`` where the attitude of the INS helps
 ``labels``                the robust labeling did not verify its labels; the detail is its own reason
@@ -23,15 +23,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config import CameraConfig, TankerConfig, VisionConfig
+from companion.config import CameraConfig, TankerConfig, VisionConfig, landmarks
 from companion.geometry import SE3, Mat
 from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
+from companion.vision.corners import detect_corners
 from companion.vision.detection import detect_markers
 from companion.vision.labeling import label_mutual_nearest
 from companion.vision.pose import PoseEstimator, Refusal
+from companion.vision.reacquisition import reacquire
+from companion.vision.robust_labeling import Labels, label_robust
 
 Ints = NDArray[np.int64]
+
+FARTHEST_M = 1e6
+"""A prior farther away than this is no prior: its square still has digits to spare."""
 
 
 class VisionChain:
@@ -41,7 +47,7 @@ class VisionChain:
         self.camera = camera
         self.config = config
         self.mode = VisionMode(config.mode)
-        self.markers: Mat = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64).reshape(-1, 3)
+        self.markers: Mat = np.array([m.p_tanker_m for m in landmarks(tanker, config)], dtype=np.float64).reshape(-1, 3)
         self._pose = PoseEstimator(camera, config, len(self.markers))
         self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
         labeling = config.labeling
@@ -53,17 +59,23 @@ class VisionChain:
         None when nothing is known of where the tanker is: its lights are then searched for (``reacquire``).
         """
         prior = prior_T_cam_tanker
-        if prior is not None and not (np.isfinite(prior.R).all() and np.isfinite(prior.t).all()):
+        if prior is not None and not (np.abs(prior.R).max() <= 2.0 and np.abs(prior.t).max() <= FARTHEST_M):
             return self._refused(frame, "prior_not_finite")
         if self.mode is VisionMode.SIMULATED:
             return self._simulated(frame, prior)
         bad = self._complaint(frame)
         if bad:
             return self._refused(frame, "frame_size", bad, self._predicted(prior))
+        return self.measure(frame.sequence, self._detect(frame, prior), prior)
+
+    def _detect(self, frame: CameraFrame, prior: SE3 | None) -> Detections:
+        if self.config.detector == "corners":
+            places = None if prior is None else self._predicted(prior)
+            corners = detect_corners(frame.image, places, self.config.corners)
+            flags = np.zeros(len(corners.uv_px), dtype=np.uint8)
+            return Detections(frame.t_ns, corners.uv_px, corners.area_px, corners.sigma_px, flags)
         blobs = detect_markers(frame.image, self.config.detection)
-        m = len(blobs.uv_px)
-        detections = Detections(frame.t_ns, blobs.uv_px, blobs.area_px, np.zeros(m), np.zeros(m, dtype=np.uint8))
-        return self.measure(frame.sequence, detections, prior)
+        return Detections(frame.t_ns, blobs.uv_px, blobs.area_px, blobs.sigma_px, blobs.flags)
 
     def measure(self, sequence: int, detections: Detections, prior: SE3 | None) -> VisionOutput:
         """Label detections and solve for the pose: ``process`` without the picture."""
@@ -89,11 +101,13 @@ class VisionChain:
 
     def _complaint(self, frame: CameraFrame) -> str:
         """Say what is wrong with the picture, or nothing."""
-        shape, kind = np.shape(frame.image), getattr(frame.image, "dtype", type(frame.image))
+        image: object = frame.image
         wanted = (self.camera.height_px, self.camera.width_px, 3)
-        if shape == wanted and kind == np.uint8:
+        if not isinstance(image, np.ndarray):
+            return f"picture is a {type(image).__name__}, camera '{self.camera.name}' gives {wanted} uint8"
+        if image.shape == wanted and image.dtype == np.uint8:
             return ""
-        return f"picture is {shape} {kind}, camera '{self.camera.name}' gives {wanted} uint8"
+        return f"picture is {image.shape} {image.dtype}, camera '{self.camera.name}' gives {wanted} uint8"
 
     def _predicted(self, prior: SE3 | None) -> Mat:
         """Return where the markers are expected (n, 2) in px; NaN where they cannot be or nothing is known."""
@@ -104,13 +118,32 @@ class VisionChain:
     def _label(self, predicted: Mat, uv: Mat, sigma: Mat, detections: Detections, prior: SE3 | None) -> Ints | Refusal:
         """Return which detection each marker is, by the thesis' rule or by the robust one; or why nothing is sure."""
         config = self.config.labeling
-        return label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
+        if config.method == "mutual_nearest":
+            return label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
+        found = self._searched(uv, sigma, prior)
+        if found.reason == "no_detections":
+            return "few_markers", f"0 of {self.config.min_markers}"
+        if not found.verified:
+            return "labels", found.reason
+        return found.labels
+
+    def _searched(self, uv: Mat, sigma: Mat, prior: SE3 | None) -> Labels:
+        """Label about the prior; where that fails, anywhere with the prior's attitude; with no prior, anywhere."""
+        config = self.config.labeling
+        if prior is None:
+            return reacquire(self.markers, uv, sigma, config)
+        found = label_robust(self.markers, uv, sigma, prior, self._cov_prior, config)
+        if found.verified or len(uv) < config.min_agree:
+            return found
+        again = reacquire(self.markers, uv, sigma, config, prior.R)
+        return again if again.verified else found
 
     def _solved(self, sequence: int, detections: Detections, predicted: Mat, labels: Ints, uv: Mat, sigma: Mat,
                 prior: SE3 | None) -> VisionOutput:
         used = np.flatnonzero(labels >= 0)
         seen = labels[used]
-        found = self._pose.measure(self.markers[used], uv[seen], sigma[seen], prior)
+        verified = self.config.labeling.method == "robust" or self.mode is VisionMode.SIMULATED
+        found = self._pose.measure(self.markers[used], uv[seen], sigma[seen], prior, verified=verified)
         if isinstance(found, tuple):
             return self._output(sequence, detections, predicted, found)
         pose = PoseMeasurement(

@@ -3,7 +3,8 @@
 Rules
 -----
 * ``min_markers`` and more: the thesis' solver (LHM or GLSDC) from the prior, then maximum likelihood where the
-  configuration asks for it. Fewer: the attitude of the INS, which the prior has, and the translation from the picture.
+  configuration asks for it. Fewer, or a geometry that does not fix a pose: the attitude of the INS, which the prior
+  has, and the translation from the picture.
 * What cannot be solved from the prior is solved once more from no start at all, by LHM. Where two minima fit about
   equally well the prior decides; without a prior both are told.
 * A pose that fails one of ``quality``'s questions is not passed on.
@@ -25,6 +26,9 @@ from companion.vision.translation import solve_translation
 
 CLOSE = 2.0
 """Minima of the object-space error that differ by less than this factor are told apart by the prior only."""
+
+NEEDS_HELP = ("few_markers", "weak_geometry")
+"""What the attitude of the INS may mend."""
 
 Refusal = tuple[str, str]
 """Reason and detail of a reject."""
@@ -63,20 +67,27 @@ class PoseEstimator:
         self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
         self._cov_ins: Mat = config.ins_sigma_rad**2 * np.eye(3)
 
-    def measure(self, points: Mat, uv: Mat, sigma: Vec, prior: SE3 | None) -> MeasuredPose | Refusal:
+    def measure(
+        self, points: Mat, uv: Mat, sigma: Vec, prior: SE3 | None, *, verified: bool
+    ) -> MeasuredPose | Refusal:
         """Return the pose of markers ``points`` (n, 3) seen at ``uv`` (n, 2) on z = 1, or why there is none.
 
         ``sigma`` (n,) standard deviation per axis on z = 1. ``prior`` T_cam_tanker, its rotation from the INS.
+        ``verified``: the labels are known to be right. Two or three markers fit some pose whatever they are, so
+        that with labels that nobody has verified there is none from fewer than ``min_markers``.
         """
         c = self._config
+        helped = verified and c.refine and c.ins_attitude != "never" and len(points) >= c.min_markers_ins
+        found: MeasuredPose | Refusal = "few_markers", f"{len(points)} of {c.min_markers}"
         try:
             if len(points) >= c.min_markers:
-                return self._free(points, uv, sigma, prior)
-            if prior is not None and c.refine and c.ins_attitude != "never" and len(points) >= c.min_markers_ins:
-                return self._judged(solve_translation(points, uv, prior.R, sigma, self._cov_ins), points, uv)
+                found = self._free(points, uv, sigma, prior)
+            weak = isinstance(found, tuple) and found[0] in NEEDS_HELP
+            if weak and helped and prior is not None:
+                found = self._judged(solve_translation(points, uv, prior.R, sigma, self._cov_ins), points, uv)
         except ValueError as error:  # what the solvers say of markers that do not fix a pose
             return "degenerate", str(error)
-        return "few_markers", f"{len(points)} of {c.min_markers}"
+        return found
 
     def _free(self, points: Mat, uv: Mat, sigma: Vec, prior: SE3 | None) -> MeasuredPose | Refusal:
         """Solve for rotation and translation, from the prior if there is one."""

@@ -23,7 +23,7 @@ def place(t_ns, relative_m):
 
 
 def fed(relative_m, until_ms=200, gps_bias=(0.0, 0.0, 0.0)):
-    b = Blend(FusionConfig(), T_FRD_CAM)
+    b = Blend(FusionConfig(min_markers=5), T_FRD_CAM)
     for t_ns in range(0, until_ms * MS + 1, 20 * MS):
         p_own, p_tanker = place(t_ns, relative_m)
         assert b.own_attitude_event(OwnAttitude(t_ns, R_OWN, np.zeros(3))) is None

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config import FIRMWARE_CONFIGS, CameraConfig, VisionConfig, load
+from companion.config import FIRMWARE_CONFIGS, CameraConfig, LabelingConfig, VisionConfig, load
 from companion.geometry import SE3, exp_so3, log_so3, rotation_from_euler
 from companion.messages import CameraFrame, VisionOutput
 from companion.vision.camera import T_frd_cam, project
@@ -14,8 +14,9 @@ from sim_bridge.truth import BoomState
 
 RV, SV = VisionConfig(), VisionConfig(mode="sv")
 GLSDC = VisionConfig(solver="glsdc", min_markers=4)
-THESIS = VisionConfig(refine=False)
-THESIS_GLSDC = VisionConfig(refine=False, solver="glsdc", min_markers=4)
+NEAREST = LabelingConfig(method="mutual_nearest")
+THESIS = VisionConfig(refine=False, labeling=NEAREST)
+THESIS_GLSDC = VisionConfig(refine=False, labeling=NEAREST, solver="glsdc", min_markers=4)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +95,8 @@ def test_too_few_markers_are_rejected(camera, tanker, shot):
     frame, T = shot
     dark = CameraFrame(0, 0, np.zeros_like(frame.image))
     assert reason(VisionChain(camera, tanker, RV).process(dark, T)) == "few_markers"
-    assert reason(VisionChain(camera, tanker, RV).process(frame, T.inverse())) == "few_markers"  # predicted elsewhere
+    elsewhere = VisionChain(camera, tanker, THESIS).process(frame, T.inverse())
+    assert reason(elsewhere) == "few_markers"
     all_nine = msgspec.structs.replace(THESIS, min_markers=10)
     assert VisionChain(camera, tanker, all_nine).process(frame, T).reject.detail == "9 of 10"
 
@@ -113,7 +115,11 @@ def test_a_marker_that_is_not_where_the_map_says_is_rejected(camera, tanker, sho
     moved[0] = msgspec.structs.replace(moved[0], p_tanker_m=(x, y, z + 3.0))
     tanker = msgspec.structs.replace(tanker, markers=tuple(moved))
     assert reason(VisionChain(camera, tanker, THESIS).process(frame, T)) == "image_error"
-    assert reason(VisionChain(camera, tanker, RV).process(frame, T)) == "residual"
+    assert reason(VisionChain(camera, tanker, VisionConfig(labeling=NEAREST)).process(frame, T)) == "residual"
+    # Labels that are verified leave it out.
+    left = VisionChain(camera, tanker, RV).process(frame, T).pose
+    assert (left.labels[0], left.markers_used) == (-1, 8)
+    np.testing.assert_allclose(left.T_cam_tanker.t, T.t, atol=0.05)
 
 
 def test_markers_on_a_line_are_rejected(camera, tanker, shot):
