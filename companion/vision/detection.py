@@ -89,6 +89,9 @@ SIGMA_WASHED_PX, SIGMA_UNEVEN_PX = 0.12, 0.2
 one side only.
 """
 
+SIGMA_CUT = 0.4
+"""Share of its radius by which a light that the border cuts may be elsewhere: up to half of it is beyond."""
+
 
 class BlobFlag(IntFlag):
     """What is to be said of one detection; see the module's table."""
@@ -222,7 +225,7 @@ def describe(
     radius = np.sqrt(table[:, blob.TOTAL] / np.pi)
     flags = flag(shape, boxes, table, elongation, config)
     blobs = Blobs(table[:, [blob.U, blob.V]], boxes[:, kernels.AREA].astype(np.float64),
-                  sigma_of(table, flags, noise), radius, elongation, table[:, blob.PEAK], flags)
+                  sigma_of(table, flags, radius, noise), radius, elongation, table[:, blob.PEAK], flags)
     return blobs.take((flags & CLUTTER) == 0) if config.reject_clutter else blobs
 
 
@@ -254,7 +257,7 @@ def flag(
     return flags
 
 
-def sigma_of(table: Mat, flags: NDArray[np.uint8], noise: float) -> Vec:
+def sigma_of(table: Mat, flags: NDArray[np.uint8], radius: Vec, noise: float) -> Vec:
     """Return the standard deviation (m,) of the centroids per axis in px: noise, and what clipping does to the rim.
 
     The share that a pixel is weighted with is a difference of two pixels' redness, its own and its surroundings'.
@@ -265,4 +268,5 @@ def sigma_of(table: Mat, flags: NDArray[np.uint8], noise: float) -> Vec:
     uneven = np.where(white > 0, np.maximum(0.0, 1.0 - white / EVEN_WHITE), 0.0)
     floor = np.where(saturated, np.maximum(SIGMA_SATURATED_PX * table[:, blob.BRIGHT], SIGMA_RIM_PX), SIGMA_PX)
     floor = np.where(washed, SIGMA_WASHED_PX + SIGMA_UNEVEN_PX * uneven, floor)
-    return np.sqrt(variance + floor**2)
+    cut = np.where((flags & BlobFlag.BORDER) > 0, SIGMA_CUT * radius, 0.0)
+    return np.sqrt(variance + floor**2 + cut**2)
