@@ -34,23 +34,27 @@ def kernel(function: Any) -> Any:
 def tensors(image: U8, left: int, top: int, h: int, w: int) -> F32:
     """Return g_x g_x, g_x g_y, g_y g_y (3, h, w), summed over the colours, of the window that starts at (left, top).
 
-    Gradients are Scharr's, in steps of 1/255 per px. Zero on and beyond the picture's border.
+    Gradients are Scharr's, in steps of 1/255 per px. Zero on and beyond the picture's border. Products of whole numbers
+    side by side, as the colours lie in the picture, so that many are worked on at a time.
     """
     field = np.zeros((3, h, w), np.float32)
-    side, middle = np.float32(3.0 / 32.0), np.float32(10.0 / 32.0)
+    flat, stride, scale = image.reshape(-1), 3 * image.shape[1], np.float32(1.0 / 32.0**2)
+    first, last = max(1 - left, 0), min(w, image.shape[1] - 1 - left)
+    n = max(3 * (last - first), 0)
+    product = np.empty((3, n), np.int32)
     for j in range(max(1 - top, 0), min(h, image.shape[0] - 1 - top)):
-        y = top + j
-        for i in range(max(1 - left, 0), min(w, image.shape[1] - 1 - left)):
-            x = left + i
-            xx, xy, yy = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for c in range(3):
-                falling = np.float32(np.int32(image[y + 1, x + 1, c]) - np.int32(image[y - 1, x - 1, c]))
-                rising = np.float32(np.int32(image[y - 1, x + 1, c]) - np.int32(image[y + 1, x - 1, c]))
-                across = np.float32(np.int32(image[y, x + 1, c]) - np.int32(image[y, x - 1, c]))
-                down = np.float32(np.int32(image[y + 1, x, c]) - np.int32(image[y - 1, x, c]))
-                gx, gy = side * (falling + rising) + middle * across, side * (falling - rising) + middle * down
-                xx, xy, yy = xx + gx * gx, xy + gx * gy, yy + gy * gy
-            field[0, j, i], field[1, j, i], field[2, j, i] = xx, xy, yy
+        start = (top + j) * stride + 3 * (left + first)
+        above, here, below = flat[start - stride - 3 :], flat[start - 3 :], flat[start + stride - 3 :]
+        for k in range(n):
+            falling = np.int32(below[k + 6]) - np.int32(above[k])
+            rising = np.int32(above[k + 6]) - np.int32(below[k])
+            gx = np.int32(3) * (falling + rising) + np.int32(10) * (np.int32(here[k + 6]) - np.int32(here[k]))
+            gy = np.int32(3) * (falling - rising) + np.int32(10) * (np.int32(below[k + 3]) - np.int32(above[k + 3]))
+            product[0, k], product[1, k], product[2, k] = gx * gx, gx * gy, gy * gy
+        for c in range(3):
+            for i in range(first, last):
+                k = 3 * (i - first)
+                field[c, j, i] = scale * np.float32(product[c, k] + product[c, k + 1] + product[c, k + 2])
     return field
 
 
@@ -80,6 +84,18 @@ def least_eigenvalues(field: F32) -> F32:
 
 
 @kernel
+def is_greatest(strength: F32, j: int, i: int, apart: int) -> bool:
+    """Return whether nothing in the square about (j, i) is greater; of equals the first one counts."""
+    h, w = strength.shape
+    value = strength[j, i]
+    for y in range(max(j - apart, 0), min(j + apart + 1, h)):
+        for x in range(max(i - apart, 0), min(i + apart + 1, w)):
+            if strength[y, x] > value or (strength[y, x] == value and (y < j or (y == j and x < i))):
+                return False
+    return True
+
+
+@kernel
 def peaks(strength: F32, margin: int, apart: int, least: float, places: I64) -> int:
     """Write row and column of the strongest local maxima to ``places`` (most, 2), strongest first; return how many.
 
@@ -92,13 +108,7 @@ def peaks(strength: F32, margin: int, apart: int, least: float, places: I64) -> 
             value = strength[j, i]
             if value < least or (count == most and value <= strength[places[most - 1, 0], places[most - 1, 1]]):
                 continue
-            greatest = True
-            for y in range(max(j - apart, 0), min(j + apart + 1, h)):
-                for x in range(max(i - apart, 0), min(i + apart + 1, w)):
-                    # Of equal neighbours the first one counts.
-                    if strength[y, x] > value or (strength[y, x] == value and (y < j or (y == j and x < i))):
-                        greatest = False
-            if not greatest:
+            if not is_greatest(strength, j, i, apart):
                 continue
             n = count if count < most else most - 1
             while n > 0 and strength[places[n - 1, 0], places[n - 1, 1]] < value:
