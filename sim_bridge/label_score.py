@@ -26,7 +26,7 @@ class LabelScore:
 
     A row's label goes to the column of its detection's truth. Detections that got no label are in the row "none", where
     the pieces of one light count once and not at all when one of them is labelled. ``absent`` counts markers without a
-    detection that rightly got no label; ``impure`` labels on a piece of the right light or on one not alone in its blob.
+    detection that rightly got no label; ``impure`` labels on a piece of the right light, or one not alone in its blob.
     """
 
     def __init__(self, markers: int) -> None:
@@ -58,9 +58,9 @@ class LabelScore:
         reached[owner[owner >= 0]] = True
         self.confusion[n, :n] += seen & ~reached
         self.confusion[n, n] += np.count_nonzero((true < 0) & ~labelled)
-        self.absent += np.count_nonzero(~seen & (given < 0))
+        self.absent += int(np.count_nonzero(~seen & (given < 0)))
         if pure is not None:
-            self.impure += np.count_nonzero(~np.asarray(pure, dtype=bool)[given[used[owner == used]]])
+            self.impure += int(np.count_nonzero(~np.asarray(pure, dtype=bool)[given[used[owner == used]]]))
         self.frames += 1
         self.frames_labelled += len(used) > 0
         self.frames_wrong += bool(np.any(owner != used))

@@ -13,6 +13,7 @@ from companion.config.structures import (
     CameraConfig,
     CompanionConfig,
     CornerConfig,
+    LabelingConfig,
     TankerConfig,
     landmarks,
 )
@@ -133,6 +134,27 @@ def corner_rules(c: CornerConfig) -> Rules:
     ]
 
 
+def labeling_rules(c: LabelingConfig) -> Rules:
+    """Return what has to hold of the labeling."""
+    shares = (c.gross_probability, c.detection_probability)
+    return [
+        (c.max_distance_px > 0, "vision.labeling.max_distance_px must be positive pixels"),
+        (min(c.prior_sigma_m, c.prior_sigma_rad) > 0,
+         "vision.labeling: prior_sigma_m and prior_sigma_rad must be positive metres and radians"),
+        (c.gross_sigma_m > 0 and c.map_sigma_m >= 0,
+         "vision.labeling: gross_sigma_m must be positive and map_sigma_m not negative, in metres"),
+        (all(0 < share < 1 for share in shares),
+         "vision.labeling: gross_probability and detection_probability must lie between 0 and 1"),
+        (c.false_density > 0, "vision.labeling.false_density must be positive"),
+        (2 <= c.gate_sigma <= 10, "vision.labeling.gate_sigma must be in 2..10"),
+        (min(c.min_label_odds, c.min_rival_odds, c.min_score, c.min_margin) > 0,
+         "vision.labeling: min_label_odds, min_rival_odds, min_score and min_margin must be positive"),
+        (c.min_agree >= 3, "vision.labeling.min_agree must be at least 3"),
+        (c.min_agree_blind >= 5, "vision.labeling.min_agree_blind must be at least 5"),
+        (c.max_range_m > 0, "vision.labeling.max_range_m must be positive metres"),
+    ]
+
+
 def companion_rules(c: CompanionConfig) -> Rules:
     """Return what has to hold of the companion's own values."""
     g, links, fusion = c.guidance, c.links, c.fusion
@@ -159,9 +181,7 @@ def companion_rules(c: CompanionConfig) -> Rules:
         (2 <= c.vision.min_markers_ins <= c.vision.min_markers,
          "vision.min_markers_ins must be at least 2 and no more than vision.min_markers"),
         (0 < c.vision.residual_probability < 0.5, "vision.residual_probability must be in 0..0.5"),
-        (c.vision.labeling.max_distance_px > 0, "vision.labeling.max_distance_px must be positive pixels"),
-        (min(c.vision.labeling.prior_sigma_m, c.vision.labeling.prior_sigma_rad) > 0,
-         "vision.labeling: prior_sigma_m and prior_sigma_rad must be positive metres and radians"),
+        *labeling_rules(c.vision.labeling),
         (c.vision.glsdc_iterations >= 1, "vision.glsdc_iterations must be at least 1"),
         (c.vision.detection.morphology_px >= 0, "vision.detection.morphology_px must not be negative"),
         (c.vision.detection.max_detections >= 4, "vision.detection.max_detections must be at least 4"),

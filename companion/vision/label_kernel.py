@@ -20,10 +20,42 @@ from numba import njit
 from numpy.typing import NDArray
 
 from companion.geometry import Mat, Vec
-from companion.vision.pose_fit import LOG_2PI, Ints, fit, foretold, project, spread
+from companion.vision.pose_fit import LOG_2PI, Ints, fit, foretold, invert, project, spread
+
+SMALLEST = 1e-12
+"""Added to the variances of a prior, in m^2 and rad^2, so that one known exactly has an information matrix."""
 
 ROUNDS = 6
 """Rounds of fitting and labelling anew at most."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def weigh(points: Mat, rays: Mat, sigma: Vec, weight: Vec, odds: float, variance: Vec, gain: Vec) -> bool:
+    """Write variance and gain of each detection; say whether all numbers are finite, and sigma and weight positive."""
+    good = True
+    for i in range(points.shape[0]):
+        good = good and np.isfinite(points[i, 0] + points[i, 1] + points[i, 2])
+    for j in range(rays.shape[0]):
+        variance[j] = sigma[j] * sigma[j]
+        gain[j] = np.log(odds * weight[j])
+        good = good and np.isfinite(rays[j, 0] + rays[j, 1] + variance[j] + gain[j]) and sigma[j] > 0.0
+    return good
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def two_priors(cov: Mat, gross_sigma: float, gross_probability: float, prior: NDArray[np.float64],
+               log_prior: Vec) -> bool:
+    """Write both priors of the rules from a covariance (6, 6); say whether it is finite and positive definite."""
+    both = np.zeros((6, 6))
+    for k in range(2):
+        for a in range(6):
+            for b in range(6):
+                both[a, b] = cov[a, b] if k == 0 or (a >= 3 and b >= 3) else 0.0
+            both[a, a] += SMALLEST + (gross_sigma**2 if k == 1 and a < 3 else 0.0)
+        log_det = invert(both, prior[k])
+        log_prior[k] = np.log(gross_probability if k == 1 else 1.0 - gross_probability)
+        log_prior[k] -= 0.5 * (6.0 * LOG_2PI + log_det)
+    return np.isfinite(log_prior[0] + log_prior[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -38,7 +70,8 @@ def squared_distances(rays: Mat, variance: Vec, map_sigma: float, uv: Mat, J: ND
                       squared: Mat) -> None:
     """Write the squared Mahalanobis distances (n, m) within the gate at a pose of covariance P; elsewhere infinity."""
     for i in range(uv.shape[0]):
-        squared[i] = np.inf
+        for j in range(rays.shape[0]):
+            squared[i, j] = np.inf
         if not np.isfinite(uv[i, 0]):
             continue
         pp, pq, qq = spread(J[i], P)
@@ -55,14 +88,15 @@ def mutual(squared: Mat, labels: Ints) -> None:
     """Write the labels (n,) of pairs that are each other's nearest; the first of equals."""
     for i in range(squared.shape[0]):
         labels[i] = -1
-        j = squared[i].argmin()
-        if not np.isfinite(squared[i, j]):
-            continue
-        nearest = True
-        for k in range(squared.shape[0]):
-            nearest = nearest and (squared[k, j] > squared[i, j] or (k >= i and squared[k, j] == squared[i, j]))
-        if nearest:
-            labels[i] = j
+        least = np.inf
+        for j in range(squared.shape[1]):
+            if squared[i, j] < least:
+                least, labels[i] = squared[i, j], j
+        if labels[i] >= 0:
+            for k in range(squared.shape[0]):
+                if squared[k, labels[i]] < least or (k < i and squared[k, labels[i]] == least):
+                    labels[i] = -1
+                    break
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -117,7 +151,7 @@ def drop_worst(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat
 def leave_out_rivals(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat, J: NDArray[np.float64], P: Mat,
                      rival_odds: float) -> int:
     """Take out labels whose foretold place suits another detection about as well; return how many."""
-    contested = np.zeros(labels.shape[0], dtype=np.bool_)
+    contested, count = np.zeros(labels.shape[0], dtype=np.bool_), 0
     for i in range(labels.shape[0]):
         if labels[i] < 0:
             continue
@@ -131,7 +165,8 @@ def leave_out_rivals(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, u
     for i in range(labels.shape[0]):
         if contested[i]:
             labels[i] = -1
-    return contested.sum()
+            count += 1
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -168,47 +203,77 @@ def score(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, log_prior: f
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def agree(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Mat, t0: Vec, prior: NDArray[np.float64],
+          log_prior: Vec, which: int, gain: Vec, gate: float, barred: int, fitting: Ints, d: Vec, R: Mat, t: Vec,
+          P: Mat, uv: Mat, J: NDArray[np.float64]) -> tuple[float, float, int]:
+    """Fit, drop what does not fit, label anew at the fitted pose, until nothing changes.
+
+    Returns log det of the information (NaN when there is no fit), the log density of the prior, and which one it is.
+    """
+    n = points.shape[0]
+    squared, fresh = np.empty((n, rays.shape[0])), np.empty(n, dtype=np.int64)
+    log_det, density, not_again = np.nan, -np.inf, -1
+    if barred >= 0:
+        not_again, fitting[barred] = fitting[barred], -1
+    for _ in range(ROUNDS):
+        log_det = fit(points, rays, variance, map_sigma, fitting, R0, t0, prior[which], d, R, t, P, uv, J)
+        while np.isfinite(log_det) and drop_worst(rays, variance, map_sigma, fitting, uv, J, P, gain, gate, -np.inf):
+            log_det = fit(points, rays, variance, map_sigma, fitting, R0, t0, prior[which], d, R, t, P, uv, J)
+        if not np.isfinite(log_det):
+            break
+        likelier, density = likelier_prior(prior, log_prior, d)
+        squared_distances(rays, variance, map_sigma, uv, J, P, gate, squared)
+        if barred >= 0:
+            squared[barred, not_again] = np.inf
+        mutual(squared, fresh)
+        if likelier == which and same(fitting, fresh):
+            break
+        which = likelier
+        copy(fresh, fitting)
+    return log_det, density, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def same(a: Ints, b: Ints) -> bool:
+    """Say whether two sets of labels are the same."""
+    equal = True
+    for i in range(a.shape[0]):
+        equal = equal and a[i] == b[i]
+    return equal
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def copy(source: Ints, target: Ints) -> None:
+    """Write the labels of one set into another."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def settle(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Mat, t0: Vec, prior: NDArray[np.float64],
            log_prior: Vec, which: int, gain: Vec, limits: Vec, barred: int, fitting: Ints, labels: Ints, d: Vec, R: Mat,
            t: Vec, P: Mat) -> float:
-    """Fit, drop what does not fit, label anew at the fitted pose, until nothing changes; then leave out what is unsure.
+    """Bring labels and pose to agree (``agree``), then leave out what is unsure, one by one, fitting anew each time.
 
     ``fitting`` (n,) and ``d`` (6,) are the start; ``prior[which]`` counts until the pose tells which is likelier. The
     label ``fitting[barred]`` of the start is not given again; -1 bars none.
     Writes into ``fitting`` all labels that one pose explains, into ``labels`` those of them that are sure, and d, R, t,
     P of the pose of the sure ones. Returns the score of ``fitting``; -inf when there is none.
     """
-    n, m = points.shape[0], rays.shape[0]
-    uv, J, squared = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, m))
-    barred_detection = -1
-    if barred >= 0:
-        barred_detection = fitting[barred]
-        fitting[barred] = -1
-    labels[:] = -1
-    for _ in range(ROUNDS):
-        log_det = fit(points, rays, variance, map_sigma, fitting, R0, t0, prior[which], d, R, t, P, uv, J)
-        while np.isfinite(log_det) and drop_worst(rays, variance, map_sigma, fitting, uv, J, P, gain, limits[0], -np.inf):
-            log_det = fit(points, rays, variance, map_sigma, fitting, R0, t0, prior[which], d, R, t, P, uv, J)
-        if not np.isfinite(log_det):
-            return -np.inf
-        likelier, density = likelier_prior(prior, log_prior, d)
-        squared_distances(rays, variance, map_sigma, uv, J, P, limits[0], squared)
-        if barred >= 0:
-            squared[barred, barred_detection] = np.inf
-        mutual(squared, labels)
-        if likelier == which and np.array_equal(fitting, labels):
-            break
-        which = likelier
-        fitting[:] = labels
-    total = score(rays, variance, map_sigma, fitting, density, gain, uv, J, log_det)
-    labels[:] = fitting
+    uv, J = np.empty((points.shape[0], 2)), np.empty((points.shape[0], 2, 6))
+    log_det, density, which = agree(points, rays, variance, map_sigma, R0, t0, prior, log_prior, which, gain, limits[0],
+                                    barred, fitting, d, R, t, P, uv, J)
+    total = -np.inf
+    if np.isfinite(log_det):
+        total = score(rays, variance, map_sigma, fitting, density, gain, uv, J, log_det)
+    copy(fitting, labels)
     changed = True
-    while changed:
+    while changed and np.isfinite(log_det):
         changed = leave_out_rivals(rays, variance, map_sigma, labels, uv, J, P, limits[1]) > 0
         changed = changed or drop_worst(rays, variance, map_sigma, labels, uv, J, P, gain, limits[0], limits[2])
         if changed:
             log_det = fit(points, rays, variance, map_sigma, labels, R0, t0, prior[which], d, R, t, P, uv, J)
-            if not np.isfinite(log_det):
-                labels[:] = -1
-                changed = False
+    if not np.isfinite(log_det):
+        for i in range(labels.shape[0]):
+            labels[i] = -1
     return total

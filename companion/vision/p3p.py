@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from companion.geometry import Mat, Vec
-from companion.vision.consensus import keep
+from companion.vision.consensus import keep, untaken
 from companion.vision.pose_fit import NEAREST_M, Ints
 
 RATIOS = 0.25 * 16.0 ** (np.arange(33) / 32.0)
@@ -96,10 +95,7 @@ def votes_at(points: Mat, rays: Mat, variance: Vec, R: Mat, t: Vec, labels: Ints
             squared = ((rays[j, 0] - u) ** 2 + (rays[j, 1] - v) ** 2) / variance[j]
             if squared < nearest:
                 nearest, at = squared, j
-        for k in range(c):
-            if at >= 0 and labels[k] == at:
-                at = -1
-        if at >= 0:
+        if at >= 0 and untaken(labels, c, at):
             labels[c] = at
             votes += 1
             total += nearest / LOOSE**2
@@ -151,7 +147,8 @@ def try_triple(points: Mat, rays: Mat, variance: Vec, unit: Mat, triple: Ints, i
 @njit(cache=True, nogil=True, error_model="numpy")
 def vote_blind(points: Mat, rays: Mat, variance: Vec, triples: Ints, range_m: float, least: int, kept_votes: Vec,
                kept_T: Mat, kept_labels: Ints) -> None:
-    """Fill the kept candidates: votes (k,), R row by row with t (k, 12), labels (k, n), from triples (s, 3) of markers."""
+    """Fill the kept candidates: votes (k,), R row by row with t (k, 12), labels (k, n); ``triples`` (s, 3) of markers.
+    """
     m = rays.shape[0]
     unit, E, sides, A = np.empty((m, 3)), np.empty((3, 3)), np.empty(3), np.empty(5)
     for j in range(m):
@@ -166,6 +163,6 @@ def vote_blind(points: Mat, rays: Mat, variance: Vec, triples: Ints, range_m: fl
         for i in range(m):
             for j in range(m):
                 for k in range(m):
-                    if i != j and i != k and j != k:
+                    if (i - j) * (i - k) * (j - k) != 0:
                         try_triple(points, rays, variance, unit, triples[s], i, j, k, sides, E, range_m, least, A,
                                    kept_votes, kept_T, kept_labels)

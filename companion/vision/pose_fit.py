@@ -2,8 +2,8 @@
 
 Rules
 -----
-* A pose is a deviation from the prior's (R0, t0): R = exp(d[3:]) R0, t = t0 + d[:3], in metres and rad along camera axes.
-  Covariances and information matrices (6, 6) are of d.
+* A pose is a deviation from the prior's (R0, t0): R = exp(d[3:]) R0, t = t0 + d[:3], in metres and rad along camera
+  axes. Covariances and information matrices (6, 6) are of d.
 * Image points ``uv`` lie on the plane z = 1. The variance of a label, per axis, is its detection's plus that of the
   marker's place on the tanker, ``map_sigma`` in metres, seen from the marker's depth.
 * A label is -1 where the marker has no detection. Markers at or behind the camera's plane have NaN for a projection.
@@ -37,7 +37,9 @@ def project(points: Mat, R: Mat, t: Vec, uv: Mat, J: NDArray[np.float64]) -> Non
         z = R[2, 0] * points[i, 0] + R[2, 1] * points[i, 1] + R[2, 2] * points[i, 2]
         depth = z + t[2]
         if not depth > NEAREST_M:
-            uv[i], J[i] = np.nan, 0.0
+            uv[i, 0] = uv[i, 1] = np.nan
+            for k in range(6):
+                J[i, 0, k] = J[i, 1, k] = 0.0
             continue
         s = 1.0 / depth
         u, v = (x + t[0]) * s, (y + t[1]) * s
@@ -50,38 +52,49 @@ def project(points: Mat, R: Mat, t: Vec, uv: Mat, J: NDArray[np.float64]) -> Non
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn(d: Vec, R0: Mat, R: Mat) -> None:
-    """Write R = exp(d) R0 (Rodrigues)."""
-    a2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-    a = np.sqrt(a2)
-    s, c = (1.0 - a2 / 6.0, 0.5 - a2 / 24.0) if a < 1e-4 else (np.sin(a) / a, (1.0 - np.cos(a)) / a2)
+def place(d: Vec, R0: Mat, t0: Vec, R: Mat, t: Vec) -> None:
+    """Write R = exp(d[3:]) R0 (Rodrigues) and t = t0 + d[:3]."""
+    a, b, c = d[3], d[4], d[5]
+    squared = a * a + b * b + c * c
+    angle = np.sqrt(squared)
+    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
+    if angle > 1e-4:
+        sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / squared
     for k in range(3):
+        t[k] = t0[k] + d[k]
         x, y, z = R0[0, k], R0[1, k], R0[2, k]
-        along = d[0] * x + d[1] * y + d[2] * z
-        R[0, k] = x + s * (d[1] * z - d[2] * y) + c * (d[0] * along - a2 * x)
-        R[1, k] = y + s * (d[2] * x - d[0] * z) + c * (d[1] * along - a2 * y)
-        R[2, k] = z + s * (d[0] * y - d[1] * x) + c * (d[2] * along - a2 * z)
+        along = cosine * (a * x + b * y + c * z)
+        R[0, k] = x + sine * (b * z - c * y) + a * along - cosine * squared * x
+        R[1, k] = y + sine * (c * x - a * z) + b * along - cosine * squared * y
+        R[2, k] = z + sine * (a * y - b * x) + c * along - cosine * squared * z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def factorise(A: Mat, L: Mat) -> float:
+    """Write the Cholesky factor L of a symmetric A (k, k); return log det A, NaN when it is not positive definite."""
+    log_det = 0.0
+    for j in range(A.shape[0]):
+        for i in range(j, A.shape[0]):
+            total = A[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = total / L[j, j]
+            elif total > 0.0:
+                L[j, j] = np.sqrt(total)
+                log_det += np.log(total)
+            else:
+                return np.nan
+    return log_det
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def invert(A: Mat, inverse: Mat) -> float:
-    """Write the inverse of a symmetric positive definite A (k, k) and return log det A; NaN when it is not one."""
+    """Write the inverse of a symmetric A (k, k) and return log det A; NaN when it is not positive definite."""
     n = A.shape[0]
-    L = np.zeros((n, n))  # the inverse of the Cholesky factor, built in place of the factor
-    log_det = 0.0
-    for j in range(n):
-        for i in range(j, n):
-            total = A[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return np.nan
-                log_det += np.log(total)
-                L[j, j] = np.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
-    for j in range(n):
+    L = np.zeros((n, n))
+    log_det = factorise(A, L)
+    for j in range(n):  # L by its inverse
         L[j, j] = 1.0 / L[j, j]
         for i in range(j + 1, n):
             total = 0.0
@@ -107,8 +120,7 @@ def fit(points: Mat, rays: Mat, variance: Vec, map_sigma: float, labels: Ints, R
     """
     A, g, step = np.empty((6, 6)), np.empty(6), np.empty(6)
     log_det, last = np.nan, False
-    turn(d[3:], R0, R)
-    t[:] = t0 + d[:3]
+    place(d, R0, t0, R, t)
     for _ in range(STEPS + 1):
         project(points, R, t, uv, J)
         gather(rays, variance, map_sigma, labels, information, d, uv, J, A, g)
@@ -120,8 +132,7 @@ def fit(points: Mat, rays: Mat, variance: Vec, map_sigma: float, labels: Ints, R
             for j in range(6):
                 step[k] += P[k, j] * g[j]
             d[k] += step[k]
-        turn(d[3:], R0, R)
-        t[:] = t0 + d[:3]
+        place(d, R0, t0, R, t)
         moved = 0.0  # squared, in sigmas
         for k in range(6):
             moved += step[k] * g[k]
@@ -173,9 +184,10 @@ def spread(J: Mat, P: Mat) -> tuple[float, float, float]:
 def foretold(ray: Vec, uv: Vec, J: Mat, P: Mat, variance: float) -> tuple[float, float, float, float, float, float]:
     """Return what the other labels and the prior say of one label's place, from the fit that holds them all.
 
-    (squared studentised residual, u, v of the foretold place, uu, uv, vv of its covariance with the label's noise). With
-    r the residual, s2 the variance, H = J P J^T and V = s2 I - H: the foretold place is ray - s2 V^-1 r, its covariance
-    s2^2 V^-1, the square r^T V^-1 r (Belsley, Kuh, Welsch 1980, ch. 2). Infinite where the others say nothing.
+    (squared studentised residual, u, v of the foretold place, uu, uv, vv of its covariance with the label's noise).
+    With r the residual, s2 the variance, H = J P J^T and V = s2 I - H: the foretold place is ray - s2 V^-1 r, its
+    covariance s2^2 V^-1, the square r^T V^-1 r (Belsley, Kuh, Welsch 1980, ch. 2). Infinite where the others say
+    nothing.
     """
     uu, uv_, vv = spread(J, P)
     a, b, c = variance - uu, -uv_, variance - vv

@@ -87,7 +87,7 @@ def judged(scene: Scene, found: list[Candidate], origin: SE3, priors: tuple[Mat,
     if not found:
         return refused(scene, origin, cov, "few_agree", searched=True)
     found = challenged(scene, found, origin, priors, limits_of(config), config)
-    return conclude(scene, found, origin, cov, config, least, searched=True)
+    return conclude(scene, found, origin, cov, priors, config, least, searched=True)
 
 
 def without_attitude(scene: Scene, config: LabelingConfig) -> Labels:
@@ -119,8 +119,8 @@ def settled_at(scene: Scene, T: SE3, priors: tuple[Mat, Vec], config: LabelingCo
     fitting, sure, scores = labels[None].copy(), np.empty((1, len(labels)), dtype=np.int64), np.empty(1)
     d, R, t, P = np.zeros((1, 6)), np.empty((1, 3, 3)), np.empty((1, 3)), np.empty((1, 6, 6))
     settle_all(scene.points, scene.rays, scene.variance, config.map_sigma_m, np.ascontiguousarray(T.R),
-               np.ascontiguousarray(T.t), *priors, scene.gain, limits_of(config), np.full(1, -1), fitting, sure, d, R, t,
-               P, scores)
+               np.ascontiguousarray(T.t), *priors, scene.gain, limits_of(config), np.full(1, -1), fitting, sure, d, R,
+               t, P, scores)
     return Candidate(fitting[0], float(scores[0]), sure[0], SE3(R[0], t[0]), P[0], d[0])
 
 
@@ -131,9 +131,9 @@ def spread_triples(points: bytes, n: int) -> Ints:
     A triple on a line fixes no pose and is left out. ``points`` are the bytes of an (n, 3) array, as a key.
     """
     p = np.frombuffer(points).reshape(n, 3)
-    areas = {
-        c: 0.5 * float(np.linalg.norm(np.cross(p[c[1]] - p[c[0]], p[c[2]] - p[c[0]]))) for c in combinations(range(n), 3)
-    }
+    areas = {}
+    for a, b, c in combinations(range(n), 3):
+        areas[a, b, c] = float(np.linalg.norm(np.cross(p[b] - p[a], p[c] - p[a])))
     widest = max(areas.values(), default=0.0)
     left = {c for c, area in areas.items() if area > 0.02 * widest}
     used: dict[tuple[int, int], int] = {}

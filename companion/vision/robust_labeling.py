@@ -31,11 +31,8 @@ from scipy.optimize import linear_sum_assignment
 from companion.config import LabelingConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.consensus import settle_all, vote
-from companion.vision.label_kernel import first_labels, settle
-from companion.vision.pose_fit import LOG_2PI, Ints
-
-SMALLEST = 1e-12
-"""Added to the variances of a prior, in m^2 and rad^2, so that one known exactly has an information matrix."""
+from companion.vision.label_kernel import first_labels, settle, two_priors, weigh
+from companion.vision.pose_fit import LOG_2PI, Ints, fit
 
 CANDIDATES = 16
 """Sets of labels of the vote that are looked at closely."""
@@ -120,12 +117,14 @@ def label_robust(
         return refused(scene, prior_T_cam_tanker, cov_prior, "no_detections")
     first, sure = at_the_prior(scene, prior_T_cam_tanker, cov_prior, priors, limits, config)
     if sure:
-        return conclude(scene, [first], prior_T_cam_tanker, cov_prior, config, config.min_agree, searched=False)
+        return conclude(scene, [first], prior_T_cam_tanker, cov_prior, priors, config, config.min_agree,
+                    searched=False)
     sigma_rad = float(np.sqrt(np.trace(cov_prior[3:, 3:]) / 3.0))
     reach_m = config.gate_sigma * config.gross_sigma_m
     found = by_consensus(scene, prior_T_cam_tanker, priors, limits, config, (reach_m, sigma_rad, config.max_range_m))
     found = challenged(scene, [first, *found], prior_T_cam_tanker, priors, limits, config)
-    return conclude(scene, found, prior_T_cam_tanker, cov_prior, config, config.min_agree, searched=True)
+    return conclude(scene, found, prior_T_cam_tanker, cov_prior, priors, config, config.min_agree,
+                    searched=True)
 
 
 def scene_of(points_tanker: Mat, uv: Mat, sigma: Vec, config: LabelingConfig, weight: Vec | None) -> Scene:
@@ -140,16 +139,15 @@ def scene_of(points_tanker: Mat, uv: Mat, sigma: Vec, config: LabelingConfig, we
     if noise.shape != (len(rays),) or like.shape != (len(rays),):
         msg = f"sigma and weight must be ({len(rays)},) like uv, not {noise.shape} and {like.shape}"
         raise ValueError(msg)
-    marker, detection = np.arange(len(points)), np.arange(len(rays))
-    # One sum tells, in the usual frame, that nothing has to be left out.
-    if not np.isfinite(points.sum()):
-        marker = np.flatnonzero(np.isfinite(points).all(axis=1))
-        points = points[marker]
-    if not (np.isfinite(rays.sum() + noise.sum() + like.sum()) and (len(rays) == 0 or min(noise.min(), like.min()) > 0)):
-        detection = np.flatnonzero(np.isfinite(rays).all(axis=1) & np.isfinite(noise) & (noise > 0) & (like > 0))
-        rays, noise, like = rays[detection], noise[detection], like[detection]
     odds = config.detection_probability / ((1.0 - config.detection_probability) * config.false_density)
-    return Scene(points, rays, noise * noise, np.log(odds * like), marker, detection, len(points_tanker))
+    variance, gain = np.empty(len(rays)), np.empty(len(rays))
+    marker, detection = np.arange(len(points)), np.arange(len(rays))
+    if not weigh(points, rays, noise, like, odds, variance, gain):
+        marker = np.flatnonzero(np.isfinite(points).all(axis=1))
+        good = np.isfinite(rays).all(axis=1) & np.isfinite(variance) & np.isfinite(gain) & (noise > 0)
+        detection = np.flatnonzero(good)
+        points, rays, variance, gain = points[marker], rays[detection], variance[detection], gain[detection]
+    return Scene(points, rays, variance, gain, marker, detection, len(points_tanker))
 
 
 def limits_of(config: LabelingConfig) -> Vec:
@@ -159,25 +157,13 @@ def limits_of(config: LabelingConfig) -> Vec:
 
 def priors_of(prior: SE3, cov_prior: Mat, config: LabelingConfig) -> tuple[Mat, Vec] | None:
     """Return the information matrices (2, 6, 6) and log densities (2,) of the prior as it is and grossly wrong."""
-    cov = np.asarray(cov_prior, dtype=np.float64)
+    cov = np.ascontiguousarray(cov_prior, dtype=np.float64)
     if cov.shape != (6, 6) or prior.R.shape != (3, 3) or prior.t.shape != (3,):
         msg = f"the prior must be R (3, 3), t (3,) with a covariance (6, 6), not {cov.shape}"
         raise ValueError(msg)
-    if not np.isfinite(cov.sum() + prior.R.sum() + prior.t.sum()):
-        return None
-    both = np.zeros((2, 6, 6))
-    both[:, range(6), range(6)] = SMALLEST
-    both[0] += cov
-    both[1, 3:, 3:] += cov[3:, 3:]
-    both[1, range(3), range(3)] += config.gross_sigma_m**2
-    try:
-        factors = np.linalg.cholesky(both)
-    except np.linalg.LinAlgError:
-        return None
-    inverse = np.linalg.inv(factors)
-    log_det = 2.0 * np.log(factors[:, range(6), range(6)]).sum(axis=1)
-    kind = np.log([1.0 - config.gross_probability, config.gross_probability])
-    return np.ascontiguousarray(inverse.transpose(0, 2, 1) @ inverse), kind - 0.5 * (6.0 * LOG_2PI + log_det)
+    information, log_density = np.empty((2, 6, 6)), np.empty(2)
+    known = two_priors(cov, config.gross_sigma_m, config.gross_probability, information, log_density)
+    return (information, log_density) if known and np.isfinite(prior.R.sum() + prior.t.sum()) else None
 
 
 def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], limits: Vec,
@@ -249,8 +235,8 @@ def challenged(scene: Scene, found: list[Candidate], prior: SE3, priors: tuple[M
     return found + settled(scene, prior, priors, limits, config, starts, labels, used)
 
 
-def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, config: LabelingConfig, least: int, *,
-             searched: bool) -> Labels:
+def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, priors: tuple[Mat, Vec],
+             config: LabelingConfig, least: int, *, searched: bool) -> Labels:
     """Take the best set of labels if it is good enough, without what comparable sets see differently."""
     best = max(found, key=lambda c: c.score)
     if np.count_nonzero(best.labels >= 0) < least or not best.score > config.min_score:
@@ -264,10 +250,24 @@ def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, c
     agreed = int(np.count_nonzero(labels >= 0))
     if agreed < least:
         return refused(scene, prior, cov_prior, "ambiguous", searched=searched)
-    full = np.full(scene.n_markers, -1, dtype=np.int64)
-    full[scene.marker] = np.where(labels >= 0, scene.detection[labels], -1)
+    T, cov = best.T, best.cov
+    if labels is not best.labels and not np.array_equal(labels, best.labels):
+        T, cov = pose_of(scene, labels, prior, priors, best.deviation, config)
+    full = np.full(scene.n_markers, -1)
+    used = labels >= 0
+    full[scene.marker[used]] = scene.detection[labels[used]]
     left_out = int(np.count_nonzero(best.fitting >= 0)) - agreed
-    return Labels(full, best.T, best.cov, True, False, "", agreed, left_out, best.score, margin, searched)
+    return Labels(full, T, cov, True, False, "", agreed, left_out, best.score, margin, searched)
+
+
+def pose_of(scene: Scene, labels: Ints, prior: SE3, priors: tuple[Mat, Vec], start: Vec,
+            config: LabelingConfig) -> tuple[SE3, Mat]:
+    """Return the pose of some labels and its covariance, under the prior that may be grossly wrong."""
+    n = len(labels)
+    R, t, P, uv, J = np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty((n, 2)), np.empty((n, 2, 6))
+    fit(scene.points, scene.rays, scene.variance, config.map_sigma_m, labels, np.ascontiguousarray(prior.R),
+        np.ascontiguousarray(prior.t), priors[0][1], start.copy(), R, t, P, uv, J)
+    return SE3(R, t), P
 
 
 def contradict(a: Ints, b: Ints) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.config import FIRMWARE_CONFIGS, CameraConfig, LabelingConfig, TankerConfig, load
-from companion.geometry import SE3, Mat, Vec, exp_so3, rotation_from_euler, skew
+from companion.geometry import SE3, Mat, Vec, exp_so3, log_so3, rotation_from_euler, skew
 from companion.vision.camera import T_frd_cam, pixels_to_normalised, project
 from companion.vision.robust_labeling import Labels
 from sim_bridge.label_score import LabelScore
@@ -33,7 +33,7 @@ class Trouble:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """``truth`` (m,) the marker whose light a detection is, or -1; ``pure`` (m,) whether it is that light whole and alone.
+    """``truth`` (m,) the marker whose light a detection is, or -1; ``pure`` (m,) whether it is that, whole and alone.
 
     ``true_px`` (n, 2) where the lights truly are; ``whole`` how many of them are detected pure.
     """
@@ -66,7 +66,7 @@ def pose(rng: np.random.Generator) -> SE3:
 
 
 def prior_of(rng: np.random.Generator, T: SE3, gross: float) -> tuple[SE3, Mat, float]:
-    """Draw a prior: as good as its covariance says, or metres off, half of these so that one marker falls on another."""
+    """Draw a prior: as good as its covariance says, or metres off, so that one marker may fall on another."""
     stated_m = rng.choice([0.3, 1.0])
     off = rng.normal(0.0, 0.6 * stated_m, 3)
     if rng.random() < gross:
@@ -116,23 +116,37 @@ def direction(rng: np.random.Generator) -> Vec:
 
 
 def surprise(f: Frame, marker: int, detection: int) -> float:
-    """Return how many sigmas a detection lies from where a marker's light is, for one who knows all other labels.
+    """Return how many sigmas a detection lies from where one who knows all the other labels expects a marker's light.
 
-    The measure holds the detection's noise and what the other lights, all of them rightly labelled, and the attitude
-    leave open of the pose: what is within a few sigmas no labeling can tell from the light itself.
+    He has the other lights' true labels with their noise, the attitude of the prior, and a position that may be 3 m off;
+    the measure is of his uncertainty and the detection's noise. What is within a few sigmas nobody can tell from the
+    light itself. (Gauss-Newton, started at the true pose.)
     """
+    others = [(i, k) for k, i in enumerate(f.truth) if f.pure[k] and i != marker]
     information = np.diag([1.0 / 3.0**2] * 3 + [1.0 / 0.02**2] * 3)
-    turned = f.T_cam_tanker.R @ MARKERS.T
-    slopes = []
-    for w, q in zip(turned.T, f.T_cam_tanker.transform(MARKERS), strict=True):
-        J = np.array([[1.0, 0.0, -q[0] / q[2]], [0.0, 1.0, -q[1] / q[2]]]) * CAMERA.fx_px / q[2]
-        slopes.append(np.hstack([J, -J @ skew(w)]))
-    for i in range(len(MARKERS)):
-        if i != marker and np.any(f.pure & (f.truth == i)):
-            information += slopes[i].T @ slopes[i] / NOISE_PX**2
-    S = slopes[marker] @ np.linalg.solve(information, slopes[marker].T) + NOISE_PX**2 * np.eye(2)
-    off = f.uv_px[detection] - f.true_px[marker]
+    T = f.T_cam_tanker
+    for _ in range(4):
+        d = np.concatenate([T.t - f.prior.t, log_so3(T.R @ f.prior.R.T)])
+        A, g = information.copy(), -information @ d
+        for i, k in others:
+            uv_px, J = slope(T, i)
+            A += J.T @ J / NOISE_PX**2
+            g += J.T @ (f.uv_px[k] - uv_px) / NOISE_PX**2
+        step = np.linalg.solve(A, g)
+        T = SE3(exp_so3(step[3:]) @ T.R, T.t + step[:3])
+    uv_px, J = slope(T, marker)
+    S = J @ np.linalg.solve(A, J.T) + NOISE_PX**2 * np.eye(2)
+    off = f.uv_px[detection] - uv_px
     return float(np.sqrt(off @ np.linalg.solve(S, off)))
+
+
+def slope(T: SE3, marker: int) -> tuple[Vec, Mat]:
+    """Return where a marker is in px (2,) and how that changes (2, 6) with translation in m and rotation in rad."""
+    turned = T.R @ MARKERS[marker]
+    x, y, z = turned + T.t
+    J = np.array([[1.0, 0.0, -x / z], [0.0, 1.0, -y / z]]) * CAMERA.fx_px / z
+    uv_px = np.array([x, y]) / z * CAMERA.fx_px + np.array([CAMERA.cx_px, CAMERA.cy_px])
+    return uv_px, np.hstack([J, -J @ skew(turned)])
 
 
 @dataclass
@@ -161,12 +175,12 @@ class Tally:
 
     def text(self) -> str:
         """Return the table and what can be told from it."""
+        share = 100 * self.five_verified / max(self.five, 1)
         return (
-            f"{self.score.table()}\nverified {self.verified}; with five or more lights detected whole {self.five_verified} of "
-            f"{self.five} ({100 * self.five_verified / max(self.five, 1):.2f} %); searched {self.searched}; "
-            f"refusals {self.refusals}\nwrong labels, from the light's true place in px "
-            f"{np.round(sorted(self.off_px), 2).tolist()}, in sigmas of one who knows the other labels "
-            f"{np.round(sorted(self.surprises), 2).tolist()}"
+            f"{self.score.table()}\nverified {self.verified}; of {self.five} with five or more lights detected whole "
+            f"{self.five_verified} ({share:.2f} %); searched {self.searched}; refusals {self.refusals}\n"
+            f"wrong labels, from the light's true place in px {np.round(sorted(self.off_px), 2).tolist()}, "
+            f"in sigmas of one who knows the other labels {np.round(sorted(self.surprises), 2).tolist()}"
         )
 
 
