@@ -18,7 +18,6 @@ from companion.vision.corners import detect_corners
 
 SKY, AIRFRAME = np.array([90.0, 140.0, 220.0]), np.array([95.0, 105.0, 115.0])
 FINE = 16
-NO_FLOOR = CornerConfig(sigma_floor_px=0.0)
 
 
 def wedge(apex: Vec, direction: float, opening: float, size: int = 40) -> Mat:
@@ -54,7 +53,7 @@ def errors_of_wedges(opening: float, count: int = 40) -> tuple[Mat, Vec, Mat]:
     for _ in range(count):
         apex = 19.5 + rng.uniform(-0.5, 0.5, 2)
         image = noisy(wedge(apex, rng.uniform(-np.pi, np.pi), opening), rng)
-        found = detect_corners(image, np.array([apex + rng.uniform(-3, 3, 2)]), NO_FLOOR)
+        found = detect_corners(image, np.array([apex + rng.uniform(-3, 3, 2)]))
         nearest = np.argmin(np.sum((found.uv_px - apex) ** 2, axis=1))
         ours.append(found.uv_px[nearest] - apex)
         sigmas.append(found.sigma_px[nearest])
@@ -72,8 +71,15 @@ def test_the_apex_of_a_wedge_is_found_better_than_by_opencv(opening_deg: float, 
     rms = np.sqrt(np.mean(ours**2))
     assert rms < limit_px
     assert rms < np.sqrt(np.mean(theirs**2))
-    assert 0.1 < np.sqrt(np.mean((ours / sigmas[:, None]) ** 2)) < 1.2
-    assert sigmas.max() < 0.4
+    assert np.sqrt(np.mean((ours / sigmas[:, None]) ** 2)) < 1.0
+    assert sigmas.max() < 0.6
+
+
+def test_the_floor_is_added_to_the_sigma_that_noise_gives() -> None:
+    image = speckles(4)
+    bare, floored = (detect_corners(image, None, CornerConfig(sigma_floor_px=f)) for f in (0.0, 0.7))
+    np.testing.assert_allclose(floored.sigma_px, np.hypot(bare.sigma_px, 0.7))
+    assert bare.sigma_px.min() > 0.0
 
 
 def test_tensors_are_opencvs_scharr_summed_over_colours() -> None:
