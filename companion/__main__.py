@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 
 from companion import __version__, app
-from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
+from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, vision_options, with_vision_options
 from companion.config import CompanionConfig, ConfigError, LinksConfig, assemble, load
 from companion.config.calibration import R_IMU_FRD, camera_toml, read_calibration
 from companion.io.operator import send_command
@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--mavlink", metavar="URL", help="autopilot, e.g. udpin:127.0.0.1:14540")
     run.add_argument("--datalink", metavar="DEVICE,BAUD", help="tanker's serial line, e.g. /dev/ttyUSB0,19600")
     run.add_argument("--camera", metavar="SOURCE", help="frame socket, e.g. tcp://127.0.0.1:14560")
-    run.add_argument("--pose", choices=("lhm", "glsdc"), help="pose solver")
+    vision_options(run)
     run.add_argument("--out", metavar="DIR", help="folder for recordings")
     run.add_argument("--run-dir", metavar="DIR", help=argparse.SUPPRESS)
     run.add_argument("--t0-ns", type=int, help=argparse.SUPPRESS)
@@ -103,9 +103,7 @@ def _with_options(config: CompanionConfig, a: argparse.Namespace) -> CompanionCo
     config = replace(config, links=replace(config.links, **given))
     if a.out is not None:
         config = replace(config, recorder=replace(config.recorder, out=a.out))
-    if a.pose is not None:
-        config = replace(config, vision=replace(config.vision, solver=a.pose))
-    return config
+    return replace(config, vision=with_vision_options(config.vision, a))
 
 
 def _command(a: argparse.Namespace) -> int:

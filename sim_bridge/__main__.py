@@ -1,7 +1,7 @@
 """Command line of the simulator.
 
-Exit codes: 0 docked and held, 1 the simulated plant failed, 2 bad input (one line on stderr says what to mend), 3 ended
-safely without docking, 130 interrupted.
+Exit codes: 0 docked and held, or the report is written; 1 the simulated plant failed; 2 bad input (one line on stderr
+says what to mend); 3 ended safely without docking; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from types import FrameType
 import msgspec
 
 from companion import __version__
-from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser
-from companion.config import FIRMWARE_CONFIGS, ConfigError, Setup
+from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, vision_options, with_vision_options
+from companion.config import FIRMWARE_CONFIGS, CompanionConfig, ConfigError, Setup, assemble
+from companion.config import load as load_toml
 from companion.io.console import FlightConsole, result_table
 from sim_bridge import linearize
 from sim_bridge.flight import Flown, fly
@@ -42,6 +43,13 @@ def parser() -> argparse.ArgumentParser:
     s.add_argument("--datalink", metavar="PTY_LINK", help="name of the link to the tanker's serial line")
     s.add_argument("--camera", metavar="ENDPOINT", help="where pictures go out, e.g. tcp://127.0.0.1:14560")
     s.set_defaults(action=_serve)
+    study = commands.add_parser("study", help="reproduce chapter 7 of the thesis and write a report")
+    study.add_argument("--seed", type=int, default=1, help="seed of the flights and of all noise (default: 1)")
+    study.add_argument("--out", metavar="DIR", help="folder for the report (default: a new one in runs)")
+    study.add_argument("--quick", action="store_true", help="few seeds and coarse scans")
+    study.add_argument("--only", metavar="PART,...", help="some parts of it: flops, timing, delay, accuracy, noise, "
+                       "swap, labeling, convergence, propagation")
+    study.set_defaults(action=_study)
     lin = commands.add_parser("linearize", help="trim and linearise the receiver; print A, B, modes")
     lin.add_argument("--write", nargs="?", const=str(FIRMWARE_CONFIGS / "airframes" / "ice101.toml"), metavar="FILE",
                      help="write the airframe data that the companion uses")
@@ -57,7 +65,7 @@ def _scenario(p: argparse.ArgumentParser) -> None:
 
 def _flight(p: argparse.ArgumentParser, action: Callable[[argparse.Namespace], int]) -> None:
     _scenario(p)
-    p.add_argument("--pose", choices=("lhm", "glsdc"), help="pose solver")
+    vision_options(p)
     p.add_argument("--law", choices=("attitude",), help="docking law")
     p.add_argument("--fusion", choices=("blend",), help="fusion of GPS and vision")
     p.add_argument("--out", metavar="DIR", help="folder for recordings (default: runs)")
@@ -87,17 +95,16 @@ def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
             msg = f"--seed {a.seed}: must not be negative"
             raise ConfigError(msg)
         scenario = replace(scenario, seed=a.seed)
-    setup = scenario.setup()
-    config = setup.config
+    path = Path(scenario.companion)
+    config = load_toml(path, CompanionConfig)
     given = {k: v for k in ("mavlink", "camera") if (v := getattr(a, k, None)) is not None}
     if getattr(a, "datalink", None) is not None:
         given["datalink"] = f"{a.datalink},{scenario.datalink.rate_baud}"
     config = replace(config, links=replace(config.links, **given))
-    if getattr(a, "pose", None) is not None:
-        config = replace(config, vision=replace(config.vision, solver=a.pose))
+    config = replace(config, vision=with_vision_options(config.vision, a))
     if getattr(a, "out", None) is not None:
         config = replace(config, recorder=replace(config.recorder, out=a.out))
-    return scenario, replace(setup, config=config)
+    return scenario, assemble(config, path)
 
 
 def _fly(a: argparse.Namespace) -> int:
@@ -142,6 +149,13 @@ def _serve(a: argparse.Namespace) -> int:
     print(f"served {served.flown_s:.1f} s, {served.late_steps} steps late"
           + (f", plant failed: {served.plant_failure}" if served.plant_failure else ""))
     return PLANT_FAILED if served.plant_failure else DOCKED
+
+
+def _study(a: argparse.Namespace) -> int:
+    from sim_bridge.study.command import Options, study  # noqa: PLC0415  it loads matplotlib, which flights do without
+
+    print(f"report: {study(Options(a.seed, a.out, a.quick, a.only))}")
+    return DOCKED
 
 
 def _linearize(a: argparse.Namespace) -> int:

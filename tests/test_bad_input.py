@@ -245,3 +245,15 @@ def test_real_processes_say_the_same(tmp_path):
             assert out == ""
             assert one_line(err).startswith(words)
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("program", ["companion", "sim_bridge"])
+def test_corners_of_a_tanker_that_has_none(capfd, tmp_path, program):
+    whole = (FIRMWARE_CONFIGS / "tankers" / "kc135r.toml").read_text(encoding="utf-8")
+    bare = tmp_path / "bare.toml"
+    bare.write_text(whole.partition("[[corners]]")[0], encoding="utf-8")
+    config = companion_toml(tmp_path, tanker=bare)
+    arguments = ("run", config) if program == "companion" else ("fly", scenario_toml(tmp_path, companion=config))
+    line = refusal(capfd, program, *arguments, "--detector", "corners")
+    assert "bare.toml" in line
+    assert "the tanker has 0 corners" in line

@@ -210,13 +210,15 @@ def test_lockstep_by_command_writes_the_same_summary(tmp_path):
     scenario.write_text(
         f'name = "flight"\ncompanion = "{toml}"\nstart_tanker_m = [-33.0, -2.0, 12.0]\nhold_s = 3.0\n', encoding="utf-8"
     )
-    process = start("sim_bridge", "fly", scenario, "--seed", "231", "--pose", "glsdc", "--out", tmp_path / "other")
+    chosen = ("--seed", "231", "--pose", "glsdc", "--labeling", "mutual_nearest")
+    process = start("sim_bridge", "fly", scenario, *chosen, "--out", tmp_path / "other")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, (out + err).decode()
     [run] = (tmp_path / "other").iterdir()
     summary = json.loads((run / "summary.json").read_text())
     assert set(summary) >= SUMMARY
-    assert (summary["seed"], summary["pose_solver"], summary["docked"]) == (231, "glsdc", True)
+    assert (summary["seed"], summary["pose_solver"], summary["labeling"], summary["docked"]) == (
+        231, "glsdc", "mutual_nearest", True)
 
 
 @pytest.mark.slow

@@ -193,8 +193,8 @@ def test_a_picture_of_the_wrong_size_is_rejected_and_the_estimate_goes_on():
 def test_a_picture_of_somewhere_else(method):
     """The picture shows the tanker 8 m nearer than both aircraft have it, with the same angles.
 
-    The thesis' labeling takes wrong lights for the nearest, which the residuals show; verified labels are those of where
-    the tanker is.
+    The thesis' labeling takes wrong lights for the nearest, which the residuals show; verified labels are those of
+    where the tanker is.
     """
     near_by = PLACE + np.array([8.0, 0.0, -3.2])
     events = [picture(e.t_ns, e.sequence, near_by) if isinstance(e, CameraFrame) else e for e in flight(0.4)]

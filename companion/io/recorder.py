@@ -212,6 +212,8 @@ class RunRecorder:
             "latency_ms": self.latency_ms(),
             "law": config.guidance.law,
             "pose_solver": config.vision.solver,
+            "detector": config.vision.detector,
+            "labeling": config.vision.labeling.method,
             "fusion": config.fusion.method,
             "recorder": {
                 "write_failures": self._events.failures + self._tlog.failures,
