@@ -6,12 +6,13 @@ SCENARIO ?= docking
 SEED ?= 1
 ARGS ?=
 
-.PHONY: help setup sitl fly view test test-slow check bench figures clean
+.PHONY: help setup sitl fly view study test test-slow check bench figures clean
 
 help:
 	@echo "make sitl     fly a docking: simulator and companion as two processes on the wall clock (about two minutes)"
 	@echo "make fly      the same flight in lockstep, faster than real time, the same bits for the same SEED"
 	@echo "make view     open the newest recording in the Rerun viewer"
+	@echo "make study    chapter 7 of the thesis again: a report in runs (five minutes; ARGS='--quick' for a look)"
 	@echo "make test     the tests        make check    style, types, imports"
 	@echo "make bench    speed and accuracy figures"
 	@echo "make figures  the pictures of the README"
@@ -47,6 +48,9 @@ fly: $(VENV)/.run
 
 view: $(VENV)/.run
 	@$(BIN)/companion view $(ARGS)
+
+study: $(VENV)/.run
+	@$(BIN)/sim-bridge study --seed $(SEED) $(ARGS)
 
 test: $(VENV)/.dev
 	@$(BIN)/python -m pytest -q $(ARGS)
