@@ -1,7 +1,8 @@
 """The vision chain: one picture and a prior pose to one measured pose (thesis Fig. 4.2).
 
-Predicted markers (4.2.3) -> detection (4.2.1) -> labeling (4.2.4) -> scale (4.2.2) -> pose (4.2.6). A picture that
-gives no pose gives a ``Reject`` that says why; nothing here raises on what comes from outside.
+Predicted markers (4.2.3) -> detection (4.2.1) -> labeling (4.2.4) -> scale (4.2.2) -> pose (4.2.6). Between labeling
+and pose, lights that are not whole are told from their size (``expected_size``) and weigh less. A picture that gives no
+pose gives a ``Reject`` that says why; nothing here raises on what comes from outside.
 
 ========================= ============================================================================================
 reason                    meaning
@@ -20,15 +21,18 @@ reason                    meaning
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import CameraConfig, TankerConfig, VisionConfig, landmarks
-from companion.geometry import SE3, Mat
+from companion.geometry import SE3, Mat, Vec
 from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.corners import detect_corners
-from companion.vision.detection import detect_markers
+from companion.vision.detection import Blobs, detect_markers
+from companion.vision.expected_size import apparent_radius_px, compare_with_expected
 from companion.vision.labeling import label_mutual_nearest
 from companion.vision.pose import PoseEstimator, Refusal
 from companion.vision.reacquisition import reacquire
@@ -40,6 +44,19 @@ FARTHEST_M = 1e6
 """A prior farther away than this is no prior: its square still has digits to spare."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Labelled:
+    """``labels`` (n,) index into the detections, -1 without one, and about where the tanker is."""
+
+    labels: Ints
+    T_cam_tanker: SE3 | None
+
+
+def detections_of(t_ns: int, blobs: Blobs) -> Detections:
+    """Return the detections of a picture as a message."""
+    return Detections(t_ns, blobs.uv_px, blobs.area_px, blobs.sigma_px, blobs.flags)
+
+
 class VisionChain:
     """Detection, labeling and pose for one camera and one tanker. ``mode`` may be switched between two frames."""
 
@@ -47,6 +64,7 @@ class VisionChain:
         self.camera = camera
         self.config = config
         self.mode = VisionMode(config.mode)
+        self._radius_m = tanker.marker_radius_m
         self.markers: Mat = np.array([m.p_tanker_m for m in landmarks(tanker, config)], dtype=np.float64).reshape(-1, 3)
         self._pose = PoseEstimator(camera, config, len(self.markers))
         self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
@@ -66,26 +84,41 @@ class VisionChain:
         bad = self._complaint(frame)
         if bad:
             return self._refused(frame, "frame_size", bad, self._predicted(prior))
-        return self.measure(frame.sequence, self._detect(frame, prior), prior)
-
-    def _detect(self, frame: CameraFrame, prior: SE3 | None) -> Detections:
         if self.config.detector == "corners":
             places = None if prior is None else self._predicted(prior)
             corners = detect_corners(frame.image, places, self.config.corners)
             flags = np.zeros(len(corners.uv_px), dtype=np.uint8)
-            return Detections(frame.t_ns, corners.uv_px, corners.area_px, corners.sigma_px, flags)
+            detections = Detections(frame.t_ns, corners.uv_px, corners.area_px, corners.sigma_px, flags)
+            return self.measure(frame.sequence, detections, prior)
         blobs = detect_markers(frame.image, self.config.detection)
-        return Detections(frame.t_ns, blobs.uv_px, blobs.area_px, blobs.sigma_px, blobs.flags)
+        return self.measure(frame.sequence, detections_of(frame.t_ns, blobs), prior, blobs)
 
-    def measure(self, sequence: int, detections: Detections, prior: SE3 | None) -> VisionOutput:
-        """Label detections and solve for the pose: ``process`` without the picture."""
+    def measure(
+        self, sequence: int, detections: Detections, prior: SE3 | None, blobs: Blobs | None = None
+    ) -> VisionOutput:
+        """Label detections and solve for the pose: ``process`` without the picture.
+
+        ``blobs``, when the detections are lights of a picture, tell which of them are whole.
+        """
         predicted = self._predicted(prior)
         uv = pixels_to_normalised(self.camera, detections.uv_px)
-        sigma = np.hypot(detections.sigma_px, self.config.sigma_px) / self._focal_px
-        labels = self._label(predicted, uv, sigma, detections, prior)
-        if isinstance(labels, tuple):
-            return self._output(sequence, detections, predicted, labels)
-        return self._solved(sequence, detections, predicted, labels, uv, sigma, prior)
+        found = self._label(predicted, uv, self._sigma(detections), detections, prior)
+        if isinstance(found, tuple):
+            return self._output(sequence, detections, predicted, found)
+        if blobs is not None and found.T_cam_tanker is not None:
+            detections = self._weighed(detections.t_ns, blobs, found.labels, found.T_cam_tanker)
+        return self._solved(sequence, detections, predicted, found.labels, uv, self._sigma(detections), prior)
+
+    def _sigma(self, detections: Detections) -> Vec:
+        """Return the standard deviations (m,) on z = 1: of the centroids, and of what calibration and map leave."""
+        return np.hypot(detections.sigma_px, self.config.sigma_px) / self._focal_px
+
+    def _weighed(self, t_ns: int, blobs: Blobs, labels: Ints, T_cam_tanker: SE3) -> Detections:
+        """Return the detections with a larger sigma and a flag for labelled lights that are not whole."""
+        expected = np.full(len(blobs.uv_px), np.nan)
+        used = np.flatnonzero(labels >= 0)
+        expected[labels[used]] = apparent_radius_px(self.camera, T_cam_tanker, self.markers[used], self._radius_m)
+        return detections_of(t_ns, compare_with_expected(blobs, expected))
 
     def _simulated(self, frame: CameraFrame, prior: SE3 | None) -> VisionOutput:
         """Take the predicted markers themselves, those inside the picture, for what was seen (thesis 4.2.5)."""
@@ -96,8 +129,7 @@ class VisionChain:
         labels = np.where(inside, np.cumsum(inside) - 1, -1)
         detections = Detections(frame.t_ns, predicted[inside], np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.uint8))
         uv = pixels_to_normalised(self.camera, detections.uv_px)
-        sigma = np.full(n, self.config.sigma_px / self._focal_px)
-        return self._solved(frame.sequence, detections, predicted, labels, uv, sigma, prior)
+        return self._solved(frame.sequence, detections, predicted, labels, uv, self._sigma(detections), prior)
 
     def _complaint(self, frame: CameraFrame) -> str:
         """Say what is wrong with the picture, or nothing."""
@@ -115,19 +147,22 @@ class VisionChain:
             return np.full((len(self.markers), 2), np.nan)
         return project(self.camera, prior, self.markers)
 
-    def _label(self, predicted: Mat, uv: Mat, sigma: Mat, detections: Detections, prior: SE3 | None) -> Ints | Refusal:
+    def _label(
+        self, predicted: Mat, uv: Mat, sigma: Vec, detections: Detections, prior: SE3 | None
+    ) -> Labelled | Refusal:
         """Return which detection each marker is, by the thesis' rule or by the robust one; or why nothing is sure."""
         config = self.config.labeling
         if config.method == "mutual_nearest":
-            return label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
+            labels = label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
+            return Labelled(labels, prior)
         found = self._searched(uv, sigma, prior)
         if found.reason == "no_detections":
             return "few_markers", f"0 of {self.config.min_markers}"
         if not found.verified:
             return "labels", found.reason
-        return found.labels
+        return Labelled(found.labels, found.T_cam_tanker)
 
-    def _searched(self, uv: Mat, sigma: Mat, prior: SE3 | None) -> Labels:
+    def _searched(self, uv: Mat, sigma: Vec, prior: SE3 | None) -> Labels:
         """Label about the prior; where that fails, anywhere with the prior's attitude; with no prior, anywhere."""
         config = self.config.labeling
         if prior is None:
@@ -138,7 +173,7 @@ class VisionChain:
         again = reacquire(self.markers, uv, sigma, config, prior.R)
         return again if again.verified else found
 
-    def _solved(self, sequence: int, detections: Detections, predicted: Mat, labels: Ints, uv: Mat, sigma: Mat,
+    def _solved(self, sequence: int, detections: Detections, predicted: Mat, labels: Ints, uv: Mat, sigma: Vec,
                 prior: SE3 | None) -> VisionOutput:
         used = np.flatnonzero(labels >= 0)
         seen = labels[used]
