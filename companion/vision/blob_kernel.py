@@ -17,13 +17,13 @@ I16 = NDArray[np.int16]
 RIM_PX = 1
 """How far beyond its lit pixels a marker's light reaches."""
 
-U, V, TOTAL, PEAK, XX, XY, YY, NOISE_U, NOISE_V, PURITY, CLIPPED, WHITE, BRIGHT, CORE, COLUMNS = range(15)
+U, V, TOTAL, PEAK, XX, XY, YY, NOISE_U, NOISE_V, HUE, CLIPPED, WHITE, BRIGHT, CORE, COLUMNS = range(15)
 """Columns of a table of measures.
 
 Centroid in px; covered area in px; greatest redness; second central moments in px^2 over the covered area; variance of
-the centroid in px^2 for a redness noise of one step; greatest redness as a share of the red there; pixels whose red is
-at the end of the scale; share of pixels whose channels all are; greatest value of a pixel's least channel, 0..1; redness
-at the centroid as a share of the greatest.
+the centroid in px^2 for a redness noise of one step; greatest redness as a share of red less the least channel there, 1
+for red and 0 for yellow or magenta; pixels whose red is at the end of the scale; share of pixels whose channels all
+are; greatest value of a pixel's least channel, 0..1; redness at the centroid as a share of the greatest.
 """
 
 CLIP = 254
@@ -124,14 +124,14 @@ def measure(image: U8, runs: I32, c: int, box: I32, out: Mat) -> None:
     own = np.empty((h, w), np.uint8)
     own_pixels(runs, c, left, top, own)
     ground, level = surroundings(image, left, top, h, w, size), np.empty((h, w), np.int16)
-    full, full_red, bright, clipped, white, area = np.int16(0), 1, 0, 0.0, 0.0, 0.0
+    full, chroma, bright, clipped, white, area = np.int16(0), 1, 0, 0.0, 0.0, 0.0
     for j in range(h):
         for i in range(w):
             red, other = image[top + j, left + i, 0], max(image[top + j, left + i, 1], image[top + j, left + i, 2])
             least = min(red, image[top + j, left + i, 1], image[top + j, left + i, 2])
             level[j, i] = np.int16(red) - np.int16(other)
             if own[j, i] and level[j, i] > full:
-                full, full_red = level[j, i], red
+                full, chroma = level[j, i], red - least
             clipped += own[j, i] * (red >= CLIP)
             white += own[j, i] * (least >= CLIP)
             bright = max(bright, least * own[j, i])
@@ -147,7 +147,7 @@ def measure(image: U8, runs: I32, c: int, box: I32, out: Mat) -> None:
             for i in range(w):
                 share[j, i] = own[j, i]
     moments(share, weight, out)
-    out[PEAK], out[PURITY], out[CLIPPED], out[WHITE] = full, full / full_red, clipped, white / area
+    out[PEAK], out[HUE], out[CLIPPED], out[WHITE] = full, full / chroma, clipped, white / area
     out[BRIGHT] = bright / 255.0
     out[CORE] = level[int(out[V] + 0.5), int(out[U] + 0.5)] / max(full, 1)
     out[U], out[V] = out[U] + left, out[V] + top

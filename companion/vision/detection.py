@@ -58,13 +58,15 @@ LEAST_FILL = 0.15
 """Components larger than SMALL_PX fill more of their box than this, also when 9/10 of the light are hidden."""
 
 HOT_AREA = 1.5
-"""Covered area in px below which a lens has had no part: one that spreads by 0.5 px makes 2.1 px of a point."""
+"""Covered area in px below which a lens has had no part: one that spreads by 0.5 px makes 2.1 px of a point. Before
+surroundings that are white already, more than that is hidden, and a hot pixel does not show.
+"""
 
 WHITE_CORE = 0.6
 """A light is this red at its centroid at least, in shares of its greatest redness."""
 
-LEAST_PURITY = 0.25
-"""Redness over red of the reddest pixel: a light has 0.6 and more, 0.4 when it is smaller than a pixel."""
+LEAST_HUE = 0.4
+"""One for red, also in front of white or grey, nought for yellow or magenta: half way is orange or pink."""
 
 FAINT_SHARE = 0.3
 RESOLVED_AREA, RESOLVED_SHARE = 7.0, 0.5
@@ -238,15 +240,15 @@ def flag(
         (boxes[:, kernels.LEFT] == 0) | (boxes[:, kernels.RIGHT] == right)
         | (boxes[:, kernels.TOP] == 0) | (boxes[:, kernels.BOTTOM] == bottom)
     )
-    flags = np.zeros(len(boxes), np.uint8)
+    washed, flags = table[:, blob.BRIGHT] > WASHED_OUT, np.zeros(len(boxes), np.uint8)
     for name, holds in (
         (BlobFlag.BORDER, border),
         (BlobFlag.SATURATED, table[:, blob.CLIPPED] > 0),
-        (BlobFlag.WASHED, table[:, blob.BRIGHT] > WASHED_OUT),
+        (BlobFlag.WASHED, washed),
         (BlobFlag.MISSHAPEN, elongation > WHOLE_ELONGATION),
-        (BlobFlag.HOT, (table[:, blob.TOTAL] < HOT_AREA) & ~border),
+        (BlobFlag.HOT, (table[:, blob.TOTAL] < HOT_AREA) & ~border & ~washed),
         (BlobFlag.GLINT, table[:, blob.CORE] < WHITE_CORE),
-        (BlobFlag.FAINT, table[:, blob.PURITY] < LEAST_PURITY),
+        (BlobFlag.FAINT, table[:, blob.HUE] < LEAST_HUE),
         (BlobFlag.STREAK, (elongation > config.max_elongation) & ~border),
     ):
         flags[holds] |= np.uint8(name)

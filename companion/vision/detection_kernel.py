@@ -18,6 +18,7 @@ I32 = NDArray[np.int32]
 ROW, FIRST, LAST, OWNER = range(4)
 """Columns of a table of runs: row, first and last column of pixels, and the component."""
 
+NOISE_ROWS, NOISE_SAMPLES, NOISE_USUAL = 40, 500, 1.5
 NOISE_LEAST = 0.4
 """Rounding to whole steps alone has 0.29."""
 
@@ -49,18 +50,21 @@ def redness_of(image: U8) -> U8:
 def noise_of(image: U8) -> float:
     """Return the standard deviation of the sensor's noise in one channel, at least NOISE_LEAST, in steps of 1/255.
 
-    The median of the second differences of green along every eighth row, which edges hardly move; an integer v stands
-    for all of v - 0.5 to v + 0.5. Pixels at either end of the scale have lost their noise and are left out.
+    The median of the second differences of green along NOISE_ROWS rows, which edges hardly move; an integer v stands
+    for all of v - 0.5 to v + 0.5. Pixels at either end of the scale have lost their noise and are left out; where few
+    are left, NOISE_USUAL.
     """
     h, w, _ = image.shape
     seen = np.zeros(1021, np.int32)
     count = 0
-    for y in range(0, h, 8):
+    for y in range(0, h, max(h // NOISE_ROWS, 1)):
         for x in range(1, w - 1, 2):
             a, b, c = np.int32(image[y, x - 1, 1]), np.int32(image[y, x, 1]), np.int32(image[y, x + 1, 1])
             inside = min(a, b, c) > 0 and max(a, b, c) < 255
             seen[abs(a - 2 * b + c)] += inside
             count += int(inside)
+    if count < NOISE_SAMPLES:
+        return NOISE_USUAL
     below, v = 0, 0
     while v < 1020 and 2 * (below + seen[v]) < count:
         below += int(seen[v])

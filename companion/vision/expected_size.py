@@ -20,7 +20,7 @@ import numpy as np
 from companion.config import CameraConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import project
-from companion.vision.detection import Blobs, BlobFlag
+from companion.vision.detection import BlobFlag, Blobs
 
 SLOPE_SATURATED, SLOPE_LINEAR = 1.0, 0.6
 """Growth of a light's radius in the picture with that of its outline, for lights that saturate and for those that do
@@ -63,7 +63,8 @@ def compare_with_expected(blobs: Blobs, expected_radius_px: Vec) -> Blobs:
     """
     expected = np.asarray(expected_radius_px, dtype=np.float64)
     saturated = (blobs.flags & BlobFlag.SATURATED) > 0
-    slope, smaller = (SLOPE_SATURATED, SMALLER) if 2 * saturated.sum() > len(saturated) else (SLOPE_LINEAR, SMALLER_LINEAR)
+    clipped = 2 * int(saturated.sum()) > len(saturated)
+    slope, smaller = (SLOPE_SATURATED, SMALLER) if clipped else (SLOPE_LINEAR, SMALLER_LINEAR)
     excess = blobs.radius_px - slope * expected
     cut = (blobs.flags & (BlobFlag.WASHED | BlobFlag.BORDER)) > 0
     usable = np.isfinite(excess) & ~cut

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tanker_scene import Scene, Tracer
+from tanker_scene import CONTACT, START, Scene, Tracer
 
 from companion.config import CameraConfig
 from companion.geometry import SE3, Mat, Vec
@@ -76,3 +76,27 @@ def expose(radiance: Mat, rng: np.random.Generator, gain: float = 1.0, noise: fl
     """Return the picture (h, w, 3) uint8 that a sensor of this gain and noise takes of ``radiance``."""
     clean = np.clip(np.round(255.0 * gain * radiance), 0, 255)
     return np.clip(np.round(clean + noise * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
+
+
+def poses_on_the_way(scene: Scene, rng: np.random.Generator, count: int) -> list[SE3]:
+    """Return places between start and contact, some off the path and turned a little."""
+    along = rng.uniform(0.0, 1.0, count)
+    return [
+        scene.T_ned_frd(START + s * (CONTACT - START) + rng.normal(0, 0.5, 3), *rng.normal(0, 0.02, 3)) for s in along
+    ]
+
+
+def windows(tracer: LightTracer, camera: CameraConfig, poses: list[SE3]) -> tuple[list[Mat], Mat, Vec]:
+    """Return radiance windows of all lights well inside the picture, (n, 4) first pixel and centre, and z in m."""
+    pictures, centres, depths = [], [], []
+    size = np.array([camera.width_px, camera.height_px])
+    for T_ned_frd in poses:
+        T = tracer.scene.T_cam_tanker(camera, T_ned_frd)
+        z = T.transform(tracer.scene.markers())[:, 2]
+        for p, depth in zip(tracer.centres_px(camera, T), z, strict=True):
+            if np.all((p > HALF + 1) & (p < size - HALF - 2)):
+                left, top = (round(float(c)) - HALF for c in p)
+                pictures.append(tracer.radiance(camera, T.inverse(), left, top))
+                centres.append((left, top, *p))
+                depths.append(depth)
+    return pictures, np.array(centres), np.array(depths)
