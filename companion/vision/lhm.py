@@ -116,7 +116,7 @@ def solve_lhm_minima(
     points, rays = as_floats(points_tanker, 2), as_floats(uv, 2)
     table = np.empty((MAX_MINIMA, ROW))
     count = minima(points, rays, tol, epsilon, kernel_of(method), table)
-    found = (unpack(row) for row in table[:count] if row[16])
+    found = (unpack(row) for row in table[:count] if row[16] and row[17])
     return tuple(sorted(found, key=lambda result: result.object_error))
 
 
@@ -130,7 +130,7 @@ def minima(points: Mat, uv: Mat, tol: float, epsilon: float, kernel: int, table:
 
 def unpack(row: Mat) -> LhmResult:
     """Turn a row of the search into a result."""
-    iterations, object_error, image_error, settled, ahead = row[12:].tolist()
+    iterations, object_error, image_error, settled, ahead, _ = row[12:].tolist()
     T = SE3(row[:9].reshape(3, 3).copy(), row[9:12].copy())
     return LhmResult(T, int(iterations), object_error, image_error, bool(settled and ahead))
 

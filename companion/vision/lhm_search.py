@@ -9,10 +9,11 @@ Rules
   costs little, hides the pose among the eigenvectors.
 * A flat cloud looks nearly alike from its pose and from the one mirrored at its plane and at the plane across the line
   of sight (Schweighofer, Pinz 2006): the mirror image of each minimum is a start too.
-* From a start Newton steps on SO(3) go down, steps of LHM where those would go up. The way is not that of the listing;
-  the minima are, and each is settled by the listing's iteration and stopping rule at the end.
-* Three eigenvectors find the pose nearly always. The others, and mirrors at all principal planes, are tried when the
-  error found leaves room for something better: for data that fit badly, and for four markers and fewer.
+* From a start Newton steps on SO(3) go down. The way is not that of the listing; the minima are, and each is settled by
+  the listing's iteration and stopping rule at the end.
+* Three eigenvectors find the pose nearly always, and one is enough for data that fit well. The others, and mirrors at
+  all principal planes, are tried when the error found leaves room for something better: for data that fit badly, and
+  for four markers and fewer.
 """
 
 from __future__ import annotations
@@ -42,11 +43,14 @@ MAX_MINIMA = 16
 SAME = 0.02
 """Two minima less than this apart, in rad, are one."""
 
+CLEAR = 1e-2
+"""Share of what a pose without part in the first eigenvector costs, below which only that one is tried for the best."""
+
 POOR = 1e-3
 """Squared error by the squared size of the cloud above which a fit is not trusted: a thirtieth of the size."""
 
-ROW = 17
-"""Numbers of a minimum: R (9), t (3), iterations, RMS object error, RMS image error, settled, ahead."""
+ROW = 18
+"""Numbers of a minimum: R (9), t (3), iterations, RMS object error, RMS image error, settled, ahead, a minimum."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -138,11 +142,11 @@ def mirrored(A: Mat, r: Nine, normal: Vec) -> Nine:
 
 @njit(cache=True, nogil=True)
 def visit(A: Mat, S2: float, p: Mat, start: Nine, found: Mat, count: int) -> int:
-    """Go down from a start and add a minimum that is new to found (MAX_MINIMA, 12). Return how many there are.
+    """Go down from a start and add a minimum that is new to found (MAX_MINIMA, 13). Return how many there are.
 
-    Its row is r, squared error, steps, and 1 when all points are before the camera.
+    Its row is r, squared error, steps, 1 when all points are before the camera, 1 when it is known to be a minimum.
     """
-    r, error, steps = descend(A, S2, start)
+    r, error, steps, minimum = descend(A, S2, start)
     if count == MAX_MINIMA:
         return count
     for i in range(count):
@@ -153,7 +157,7 @@ def visit(A: Mat, S2: float, p: Mat, start: Nine, found: Mat, count: int) -> int
         ahead = ahead and moved(p, i, r, t)[2] > 0.0
     row = found[count]
     row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8] = r
-    row[9], row[10], row[11] = error, steps, 1.0 if ahead else 0.0
+    row[9], row[10], row[11], row[12] = error, steps, 1.0 if ahead else 0.0, 1.0 if minimum else 0.0
     return count + 1
 
 
@@ -168,19 +172,31 @@ def best_of(found: Mat, first: int, count: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def explore(A: Mat, S2: float, p: Mat, found: Mat) -> int:
-    """Write all minima that can be reached into found (MAX_MINIMA, 12) and return how many."""
+def enough(found: Mat, count: int, error: float) -> bool:
+    """Say whether a minimum before the camera has at most this squared error."""
+    best = best_of(found, 0, count)
+    return found[best, 11] > 0.0 and found[best, 9] <= error
+
+
+@njit(cache=True, nogil=True)
+def explore(A: Mat, S2: float, p: Mat, found: Mat, thorough: bool) -> int:
+    """Write minima into found (MAX_MINIMA, 13) and return how many: all that can be reached, or the best at least.
+
+    The numbers of a rotation, in axes of unit scatter, have the squared length S2: with no part in the first k
+    eigenvectors its error is at least S2 times the next eigenvalue. An error far below that leaves no room elsewhere.
+    """
     S, L = cholesky_of_scatter(p)
     values, vectors = np.linalg.eigh(white_omega(A, S, L))
-    planes, count, i = np.linalg.eigh(S)[1], 0, 0
+    count, i = 0, 0
     for k in range(6):
+        if k == 2 and not thorough and enough(found, count, CLEAR * values[1] * S2):
+            return count
         count = visit(A, S2, p, start_from(L, vectors[:, k // 2], 1.0 - 2.0 * (k % 2)), found, count)
+    planes = np.linalg.eigh(S)[1]
     while i < count:
         count = visit(A, S2, p, mirrored(A, nine(found[i]), planes[:, 0]), found, count)
         i += 1
-    # A rotation without part in the eigenvectors that were tried has at least the error of the next one.
-    best = best_of(found, 0, count)
-    if found[best, 11] > 0.0 and found[best, 9] <= min(values[3], POOR) * S2:
+    if enough(found, count, min(values[3], POOR) * S2):
         return count
     for k in range(6, 18):
         count = visit(A, S2, p, start_from(L, vectors[:, k // 2], 1.0 - 2.0 * (k % 2)), found, count)
@@ -198,12 +214,12 @@ def search(points: Mat, uv: Mat, tol: float, epsilon: float, method: int, table:
     status, A, p, mean, S2 = fold(points, uv)
     if status != OK:
         return status, 0
-    found = np.empty((MAX_MINIMA, 12))
-    count = explore(A, S2, p, found)
+    found = np.empty((MAX_MINIMA, 13))
+    count = explore(A, S2, p, found, table.shape[0] > 1)
     rows = min(count, table.shape[0])
     for i in range(rows):
         best = best_of(found, i, count)
-        for k in range(12):
+        for k in range(13):
             found[i, k], found[best, k] = found[best, k], found[i, k]
         write_row(A, S2, p, uv, mean, found[i], tol, epsilon, method, table[i])
     return status, rows
@@ -220,4 +236,4 @@ def write_row(
     write_pose(r, shift, mean, row[:9].reshape(3, 3), row[9:12])
     n = p.shape[0]
     row[12], row[13], row[14] = known[10] + iterations, np.sqrt(error / n), np.sqrt(squared / n)
-    row[15], row[16] = 1.0 if settled else 0.0, 1.0 if ahead else 0.0
+    row[15], row[16], row[17] = 1.0 if settled else 0.0, 1.0 if ahead else 0.0, known[12]

@@ -3,46 +3,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from pose_scenes import Listing, scene
 
 from companion.geometry import SE3, exp_so3, log_so3
 from companion.vision.lhm import rms_object_error, solve_lhm, weak_perspective_rotation
 
 SEEDS = st.integers(0, 2**32 - 1)
 TIGHT = {"tol": 1e-8, "epsilon": 1e-10}
-
-
-def by_the_listing(points, uv, R, tol=1e-5, epsilon=1e-8, quaternion=False):
-    """Thesis 10.3.2 in plain numpy, in a right-handed camera frame; returns R, t, iterations, RMS object error."""
-    n, mean = len(points), points.mean(axis=0)
-    P = points - mean
-    V = np.column_stack([uv, np.ones(n)])
-    F = np.array([np.outer(v, v) / (v @ v) for v in V])
-    factor = np.linalg.inv(np.eye(3) - F.sum(axis=0) / n) / n
-
-    def translate(R):
-        t = factor @ sum((F[i] - np.eye(3)) @ R @ P[i] for i in range(n))
-        Q = P @ R.T + t
-        return t, Q, sum(float(np.sum(((np.eye(3) - F[i]) @ Q[i]) ** 2)) for i in range(n))
-
-    def kernel(Q):
-        Q = np.array([F[i] @ Q[i] for i in range(n)])
-        Q = Q - Q.mean(axis=0)
-        if quaternion:
-            return Rotation.align_vectors(Q, P)[0].as_matrix()
-        U, _, Vt = np.linalg.svd(P.T @ Q)
-        return Vt.T @ np.diag([1, 1, np.linalg.det(Vt.T @ U.T)]) @ U.T
-
-    t, Q, old = translate(R)
-    R = kernel(Q)
-    t, Q, new = translate(R)
-    iterations = 1
-    while abs((old - new) / old) > tol and new > epsilon:
-        old = new
-        R = kernel(Q)
-        t, Q, new = translate(R)
-        iterations += 1
-    return R, t - R @ mean, iterations, np.sqrt(new / n)
 
 
 @pytest.mark.parametrize("method", ["svd", "quaternion"])
@@ -53,7 +20,7 @@ def test_same_iterates_as_the_listing(markers, approach_pose, method):
         q = T.transform(markers)
         uv = q[:, :2] / q[:, 2:] + rng.normal(0.0, noise, (len(q), 2))
         R0 = exp_so3(rng.normal(0, 0.03, 3)) @ T.R
-        R, t, iterations, error = by_the_listing(markers, uv, R0, quaternion=method == "quaternion")
+        R, t, iterations, error = Listing(markers, uv, quaternion=method == "quaternion").solve(R0)
         ours = solve_lhm(markers, uv, R0, method=method)
         assert abs(ours.iterations - iterations) <= 1
         np.testing.assert_allclose(ours.T_cam_tanker.R, R, atol=1e-6)
@@ -61,6 +28,34 @@ def test_same_iterates_as_the_listing(markers, approach_pose, method):
             np.testing.assert_allclose(ours.T_cam_tanker.R, R, atol=1e-10)
             np.testing.assert_allclose(ours.T_cam_tanker.t, t, atol=1e-8)
             assert ours.object_error == pytest.approx(error, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", ["svd", "quaternion"])
+def test_same_iterates_as_the_listing_from_weak_perspective(method):
+    for seed in range(40):
+        s = scene(np.random.default_rng(seed), thick_m=4.0)
+        R, t, iterations, error = Listing(s.points, s.uv, quaternion=method == "quaternion").solve(None)
+        if iterations > 900:  # ours ends at a thousand
+            continue
+        ours = solve_lhm(s.points, s.uv, start="weak_perspective", method=method)
+        assert abs(ours.iterations - iterations) <= 1
+        np.testing.assert_allclose(ours.T_cam_tanker.R, R, atol=1e-6)
+        if ours.iterations == iterations:
+            assert ours.object_error == pytest.approx(error, abs=1e-9)
+
+
+@pytest.mark.parametrize(("tol", "epsilon"), [(1e-2, 1e-12), (1e-5, 1e-2), (1e-8, 1e-3), (0, 1e-8), (1e-7, 0)])
+def test_both_stopping_rules_stop_where_the_listing_stops(markers, approach_pose, tol, epsilon):
+    rng = np.random.default_rng(15)
+    for _ in range(10):
+        T = approach_pose(rng)
+        q = T.transform(markers)
+        uv = q[:, :2] / q[:, 2:] + rng.normal(0.0, 0.1 / 550, (9, 2)) * (tol != 0)
+        R0 = exp_so3(rng.normal(0, 0.05, 3)) @ T.R
+        R, _, iterations, _ = Listing(markers, uv).solve(R0, tol, epsilon)
+        ours = solve_lhm(markers, uv, R0, tol, epsilon)
+        assert abs(ours.iterations - iterations) <= 1
+        np.testing.assert_allclose(ours.T_cam_tanker.R, R, atol=1e-6)
 
 
 @settings(deadline=None)
@@ -188,3 +183,14 @@ def test_what_cannot_be_solved_is_refused_in_words(points, uv, R0, says):
 def test_an_unknown_method_is_refused():
     with pytest.raises(ValueError, match="'svd' or 'quaternion'"):
         solve_lhm(CLOUD, SEEN, np.eye(3), method="SVD")
+
+
+def test_an_unknown_start_is_refused():
+    with pytest.raises(ValueError, match="'global' or 'weak_perspective'"):
+        solve_lhm(CLOUD, SEEN, start="anywhere")
+
+
+def test_lists_integers_and_other_layouts_are_taken():
+    points, seen, R = CLOUD.tolist(), np.asfortranarray(SEEN), np.eye(3, dtype=np.float32).T
+    assert solve_lhm(points, seen, R).iterations == solve_lhm(CLOUD, SEEN, np.eye(3)).iterations
+    assert solve_lhm(CLOUD.astype(int), SEEN, np.eye(3, dtype=int)).iterations > 0
