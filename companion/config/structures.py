@@ -124,7 +124,7 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     """
 
     gate_px: float = 24.0
-    min_gradient: float = 4.0
+    min_gradient: float = 6.0
     apart_px: int = 3
     radius_px: int = 4
     max_per_window: int = 6
@@ -158,12 +158,12 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     map_sigma_m: float = 0.01
     detection_probability: float = 0.7
     false_density: float = 20.0
-    gate_sigma: float = 4.5
+    gate_sigma: float = 5.0
     min_label_odds: float = 5.0
     min_rival_odds: float = 8.0
     min_agree: int = 4
     min_score: float = 10.0
-    min_margin: float = 8.0
+    min_margin: float = 7.0
     max_range_m: float = 150.0
     min_agree_blind: int = 6
 

@@ -25,16 +25,20 @@ from companion.vision.pose_fit import LOG_2PI, Ints, fit, foretold, invert, proj
 SMALLEST = 1e-12
 """Added to the variances of a prior, in m^2 and rad^2, so that one known exactly has an information matrix."""
 
+FARTHEST_M = 1e4
+"""No marker is farther than this from the tanker's origin: numbers beyond are as bad as those that are not finite."""
+
 ROUNDS = 6
 """Rounds of fitting and labelling anew at most."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def weigh(points: Mat, rays: Mat, sigma: Vec, weight: Vec, odds: float, variance: Vec, gain: Vec) -> bool:
-    """Write variance and gain of each detection; say whether all numbers are finite, and sigma and weight positive."""
+    """Write variance and gain of each detection; say whether all numbers can be, sigma and weight positive."""
     good = True
     for i in range(points.shape[0]):
-        good = good and np.isfinite(points[i, 0] + points[i, 1] + points[i, 2])
+        for k in range(3):
+            good = good and abs(points[i, k]) < FARTHEST_M
     for j in range(rays.shape[0]):
         variance[j] = sigma[j] * sigma[j]
         gain[j] = np.log(odds * weight[j])

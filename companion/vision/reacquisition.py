@@ -134,8 +134,8 @@ def spread_triples(points: bytes, n: int) -> Ints:
     areas = {}
     for a, b, c in combinations(range(n), 3):
         areas[a, b, c] = float(np.linalg.norm(np.cross(p[b] - p[a], p[c] - p[a])))
-    widest = max(areas.values(), default=0.0)
-    left = {c for c, area in areas.items() if area > 0.02 * widest}
+    widest, extent = max(areas.values(), default=0.0), float(np.sum((p - p[:1]) ** 2))
+    left = {c for c, area in areas.items() if area > 0.02 * widest and area > 1e-4 * extent}
     used: dict[tuple[int, int], int] = {}
     chosen: list[tuple[int, ...]] = []
     while left and len(chosen) < TRIPLES:

@@ -31,7 +31,7 @@ from scipy.optimize import linear_sum_assignment
 from companion.config import LabelingConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.consensus import settle_all, vote
-from companion.vision.label_kernel import first_labels, settle, two_priors, weigh
+from companion.vision.label_kernel import FARTHEST_M, first_labels, settle, two_priors, weigh
 from companion.vision.pose_fit import LOG_2PI, Ints, fit
 
 CANDIDATES = 16
@@ -143,7 +143,7 @@ def scene_of(points_tanker: Mat, uv: Mat, sigma: Vec, config: LabelingConfig, we
     variance, gain = np.empty(len(rays)), np.empty(len(rays))
     marker, detection = np.arange(len(points)), np.arange(len(rays))
     if not weigh(points, rays, noise, like, odds, variance, gain):
-        marker = np.flatnonzero(np.isfinite(points).all(axis=1))
+        marker = np.flatnonzero((np.abs(points) < FARTHEST_M).all(axis=1))
         good = np.isfinite(rays).all(axis=1) & np.isfinite(variance) & np.isfinite(gain) & (noise > 0)
         detection = np.flatnonzero(good)
         points, rays, variance, gain = points[marker], rays[detection], variance[detection], gain[detection]
@@ -170,8 +170,9 @@ def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], li
                  config: LabelingConfig) -> tuple[Candidate, bool]:
     """Assign at the prior and settle; and say whether no search is needed.
 
-    It is not when every marker has its label or every detection is one: a set of labels that contradicts this one could
-    then not be larger, only an accident of the same size with a prior that is grossly wrong.
+    It is not when every marker has a label that fits: no shift brings all of a set of points onto itself. Nor when
+    every detection is one and the gates left no choice: what contradicts these labels is then no larger a set, and
+    needs a prior that is grossly wrong.
     """
     n, m = len(scene.points), len(scene.rays)
     labels = np.empty(n, dtype=np.int64)
@@ -184,9 +185,10 @@ def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], li
     d, R, t, P, sure = np.zeros(6), np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty(n, dtype=np.int64)
     score = settle(scene.points, scene.rays, scene.variance, config.map_sigma_m, R0, t0, *priors, 0, scene.gain,
                    limits, -1, labels, sure, d, R, t, P)
-    agreed = int(np.count_nonzero(sure >= 0))
-    enough = agreed >= max(config.min_agree + 1, min(n, m)) and score > config.min_score
-    return Candidate(labels, score, sure, SE3(R, t), P, d), enough
+    fits = int(np.count_nonzero(labels >= 0))
+    whole = fits == n or (fits == m and plain)
+    enough = np.count_nonzero(sure >= 0) > config.min_agree and score > config.min_score
+    return Candidate(labels, score, sure, SE3(R, t), P, d), bool(whole and enough)
 
 
 def assign(squared: Mat, log_det: Vec, gain: Vec) -> Ints:

@@ -66,7 +66,7 @@ def pose(rng: np.random.Generator) -> SE3:
 
 
 def prior_of(rng: np.random.Generator, T: SE3, gross: float) -> tuple[SE3, Mat, float]:
-    """Draw a prior: as good as its covariance says, or metres off, so that one marker may fall on another."""
+    """Draw a prior: as good as its covariance says, or metres off, where one may fall on another."""
     stated_m = rng.choice([0.3, 1.0])
     off = rng.normal(0.0, 0.6 * stated_m, 3)
     if rng.random() < gross:
@@ -118,8 +118,8 @@ def direction(rng: np.random.Generator) -> Vec:
 def surprise(f: Frame, marker: int, detection: int) -> float:
     """Return how many sigmas a detection lies from where one who knows all the other labels expects a marker's light.
 
-    He has the other lights' true labels with their noise, the attitude of the prior, and a position that may be 3 m off;
-    the measure is of his uncertainty and the detection's noise. What is within a few sigmas nobody can tell from the
+    He has the other lights' true labels with their noise, the prior's attitude, and a position that may be 3 m off; the
+    measure is of his uncertainty and the detection's noise. What is within a few sigmas nobody can tell from the
     light itself. (Gauss-Newton, started at the true pose.)
     """
     others = [(i, k) for k, i in enumerate(f.truth) if f.pure[k] and i != marker]
