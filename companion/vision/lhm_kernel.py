@@ -161,7 +161,7 @@ def translation(A: Mat, r: Nine) -> Three:
 def error_by_points(A: Mat, p: Mat, uv: Mat, r: Nine) -> float:
     """Return the sum of squared object-space errors of r, point by point (thesis eq. 6.18).
 
-    S2 - r.(H r) loses about 1e-15 S2 to cancellation: this is for where that could matter.
+    S2 - r.(H r) loses about 1e-15 S2 to cancellation: this is for where the stopping rule could feel that.
     """
     error, t = 0.0, translation(A, r)
     for i in range(p.shape[0]):
@@ -212,10 +212,11 @@ def settle(
 ) -> tuple[Nine, int, float, bool]:
     """Iterate as the listing does from a rotation: (r, iterations, squared object error, stopping rule met)."""
     r, root, iterations, old = start, LARGEST_ROOT, 0, np.inf
+    lost = S2 * max(1e-9, 1e-14 / tol)
     while True:
         m = times(A, r)
         error = S2 - dot(m, r)
-        if error < 1e-9 * S2:
+        if error < lost:
             error = error_by_points(A, p, uv, r)
         settled = not (abs(old - error) > tol * old and error > epsilon)
         if (settled and iterations > 0) or iterations == MAX_ITERATIONS:

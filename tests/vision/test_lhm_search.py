@@ -61,7 +61,7 @@ def test_the_listing_starts_cold_into_reflections_and_we_never_do():
 def test_minima_are_minima_and_come_in_order(seed):
     rng = np.random.default_rng(seed)
     s = scene(rng)
-    found = solve_lhm_minima(s.points, s.uv, tol=1e-10, epsilon=1e-16)
+    found = solve_lhm_minima(s.points, s.uv, tol=1e-7, epsilon=1e-16)
     errors = [f.object_error for f in found]
     assert errors == sorted(errors)
     for f in found:
@@ -74,7 +74,7 @@ def test_minima_are_minima_and_come_in_order(seed):
     for i, f in enumerate(found):
         assert all(angle_rad(f.T_cam_tanker.R, g.T_cam_tanker.R) > 0.02 for g in found[:i])
     if found:
-        best = solve_lhm(s.points, s.uv, tol=1e-10, epsilon=1e-16)
+        best = solve_lhm(s.points, s.uv, tol=1e-7, epsilon=1e-16)
         assert best.object_error == pytest.approx(found[0].object_error, rel=1e-6, abs=1e-8)
 
 
@@ -112,8 +112,8 @@ def test_the_search_does_not_know_frames_or_order(seed):
     rng = np.random.default_rng(seed)
     s = scene(rng)
     S, order = SE3(exp_so3(rng.normal(0, 1.0, 3)), rng.normal(0, 10.0, 3)), rng.permutation(len(s.points))
-    base = solve_lhm_minima(s.points, s.uv, tol=1e-10, epsilon=1e-16)
-    moved = solve_lhm_minima(S.transform(s.points)[order], s.uv[order], tol=1e-10, epsilon=1e-16)
+    base = solve_lhm_minima(s.points, s.uv, tol=1e-7, epsilon=1e-16)
+    moved = solve_lhm_minima(S.transform(s.points)[order], s.uv[order], tol=1e-7, epsilon=1e-16)
     if base and (len(base) == 1 or base[1].object_error > 1.01 * base[0].object_error):
         np.testing.assert_allclose(moved[0].T_cam_tanker.R @ S.R, base[0].T_cam_tanker.R, atol=1e-4)
         assert moved[0].object_error == pytest.approx(base[0].object_error, rel=1e-4, abs=1e-6)
