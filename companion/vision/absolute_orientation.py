@@ -98,7 +98,7 @@ def rotation_closed_form(m: Nine, guess: float) -> tuple[bool, Nine, float]:
 
     With M scaled to |M| = 1, l the sum of its singular values (the last one signed), k = (l^2 - 1) / 2 and C its
     cofactors, R = [(k + 1) M + l C - M M^T M] / (k l - det M). ``guess`` is where the search for l starts: that of a
-    similar M, or ``LARGEST_ROOT``. Not found when M is too degenerate: r is m then.
+    similar M, or ``LARGEST_ROOT``; above 1 / sqrt(3). Not found when M is too degenerate: r is m then.
     """
     norm = np.sqrt(
         m[0] * m[0] + m[1] * m[1] + m[2] * m[2] + m[3] * m[3] + m[4] * m[4] + m[5] * m[5] + m[6] * m[6] + m[7] * m[7]
@@ -145,7 +145,7 @@ def check_weights(weights: Mat | Vec, n: int, columns: int) -> Mat:
         shapes = f"({n},)" if columns == 1 else f"({n},) or ({n}, {columns})"
         msg = f"weights must be {shapes}, finite and not negative"
         raise ValueError(msg)
-    return np.ascontiguousarray(np.broadcast_to(W.reshape(n, -1), (n, columns)))
+    return np.array(np.broadcast_to(W.reshape(n, -1), (n, columns)), order="C")
 
 
 def absolute_orientation(

@@ -9,8 +9,8 @@ Rules
   makes tens of iterations of hundreds.
 * Method 1 takes d = s x_3, s the size of the markers by the size of the places (thesis eq. 5.31). As printed it cannot
   work: in eq. 5.34 x is R y + t, which has the size of y always, so that s is 1 and the mean depth never moves. The
-  size meant is that of the places d v. And D of eq. 5.33 and 5.34 are squared sizes, whose ratio turns a depth too
-  large by a factor into one too small by it, for ever: s is the root of the ratio here.
+  size meant is that of the places d v. And D of eq. 5.33 and 5.34 are squared sizes, whose ratio turns a depth that is
+  too large into one that is as much too small, further with each iteration: s is the root of the ratio here.
 * Weights enter the sizes as they enter the error, so that a marker of weight zero is as good as absent.
 """
 
@@ -78,7 +78,7 @@ def solve_depth_iteration(
         if status != OK:
             raise ValueError(complaint(status, points[used], rays[used]))
     v = np.column_stack([rays, np.ones(len(rays))])
-    d = np.ascontiguousarray(np.broadcast_to(first_depth(points, v, w, depth_init_m), len(points)))
+    d = np.array(np.broadcast_to(first_depth(points, v, w, depth_init_m), len(points)))
     R, t = np.empty((3, 3)), np.empty(3)
     done, squared, settled = iterate_depths(
         points, v, w / w.max(), d, method == 1, kernel_of(kernel), int(iterations), float(tol), R, t

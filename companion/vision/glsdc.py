@@ -66,9 +66,7 @@ def solve_glsdc(
     """
     points, rays = as_floats(points_tanker, 2), as_floats(uv, 2)
     W = ALL_ALIKE if weights is None else check_weights(weights, len(points), 2)
-    R0, t0 = np.ascontiguousarray(T_init.R, np.float64), np.ascontiguousarray(T_init.t, np.float64)
-    if R0.ndim != 2 or t0.ndim != 1:
-        raise ValueError(COMPLAINTS[NOT_A_ROTATION])
+    R0, t0 = as_floats(T_init.R, 2), as_floats(T_init.t, 1)
     R, t = np.empty((3, 3)), np.empty(3)
     status, done, image_error, converged = correct(points, rays, R0, t0, int(iterations), W, int(min_markers), R, t)
     if status != OK:

@@ -136,12 +136,15 @@ def unpack(row: Mat) -> LhmResult:
 
 
 def as_floats(a: Mat, dimensions: int) -> Mat:
-    """Return a as a contiguous float64 array; ValueError unless it has so many dimensions."""
+    """Return a as a contiguous float64 array; ValueError unless it has so many dimensions.
+
+    Anything else, also an array that must not be written, would have the kernels compiled anew.
+    """
     floats = np.ascontiguousarray(a, np.float64)
     if floats.ndim != dimensions:
-        msg = f"points_tanker must be (n, 3), uv (n, 2) and R_init (3, 3); one of them is {floats.shape}"
+        msg = f"points_tanker must be (n, 3), uv (n, 2), a rotation (3, 3), a translation (3,); one is {floats.shape}"
         raise ValueError(msg)
-    return floats
+    return floats if floats.flags.writeable else floats.copy()
 
 
 def kernel_of(method: str) -> int:

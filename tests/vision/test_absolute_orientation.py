@@ -64,3 +64,58 @@ def test_absolute_orientation_finds_the_transform_and_ignores_symmetric_noise(me
     centred = noisy - noisy.mean(axis=0)
     theirs, _ = Rotation.align_vectors(centred, points - points.mean(axis=0))
     np.testing.assert_allclose(absolute_orientation(points, noisy, method).R, theirs.as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["svd", "quaternion"])
+@given(seed=SEEDS)
+def test_weights_count_as_scipy_counts_them(method, seed):
+    """Thesis eq. 5.2, 5.8, 5.9: weighted means, weighted squares; twice the weight is the point twice."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 10))
+    points, w = rng.normal(0, 5, (n, 3)), rng.uniform(0.01, 10.0, n)
+    T = SE3(Rotation.random(rng=rng).as_matrix(), rng.normal(0, 20, 3))
+    seen = T.transform(points) + rng.normal(0, 0.3, (n, 3))
+    found = absolute_orientation(points, seen, method, w)
+    mean_b, mean_a = w @ points / w.sum(), w @ seen / w.sum()
+    theirs, _ = Rotation.align_vectors(seen - mean_a, points - mean_b, weights=w)
+    np.testing.assert_allclose(found.R, theirs.as_matrix(), atol=1e-8)
+    np.testing.assert_allclose(found.t, mean_a - found.R @ mean_b, atol=1e-9)
+    np.testing.assert_allclose(absolute_orientation(points, seen, method, 1e6 * w).as_matrix(), found.as_matrix())
+    doubled = absolute_orientation(np.vstack([points, points[:1]]), np.vstack([seen, seen[:1]]), method)
+    once = absolute_orientation(points, seen, method, np.r_[2.0, np.ones(n - 1)])
+    np.testing.assert_allclose(doubled.as_matrix(), once.as_matrix(), atol=1e-9)
+    absent = absolute_orientation(points[1:], seen[1:], method)
+    none = absolute_orientation(points, seen, method, np.r_[0.0, np.ones(n - 1)])
+    np.testing.assert_allclose(none.as_matrix(), absent.as_matrix(), atol=1e-9)
+
+
+@given(SEEDS, st.floats(0.6, 4.0))
+def test_a_good_guess_of_the_root_changes_nothing(seed, guess):
+    M = np.random.default_rng(seed).normal(size=(3, 3))
+    plain, guessed = closed_form(M), closed_form(M, guess)
+    assert (plain is None) == (guessed is None)
+    if plain is not None:
+        np.testing.assert_allclose(guessed, plain, atol=1e-9)
+
+
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+@pytest.mark.parametrize(
+    ("b", "a", "extra", "says"),
+    [
+        (TRIANGLE[:2], TRIANGLE[:2], {}, "at least 3 points"),
+        (TRIANGLE, TRIANGLE[:2], {}, "same size"),
+        (TRIANGLE[:, :2], TRIANGLE[:, :2], {}, "same size"),
+        (TRIANGLE * np.nan, TRIANGLE, {}, "finite"),
+        (TRIANGLE, TRIANGLE * [1, 0, 0], {}, "one line"),
+        (TRIANGLE * 0.0, TRIANGLE, {}, "one line"),
+        (TRIANGLE, TRIANGLE, {"weights": np.array([1.0, 1.0, 0.0])}, "at least 3 points"),
+        (TRIANGLE, TRIANGLE, {"weights": np.array([1.0, 1.0, -1.0])}, "not negative"),
+        (TRIANGLE, TRIANGLE, {"weights": np.ones((3, 3))}, r"must be \(3,\)"),
+        (TRIANGLE, TRIANGLE, {"method": "QTN"}, "'svd' or 'quaternion'"),
+    ],
+)
+def test_what_fixes_no_rotation_is_refused_in_words(b, a, extra, says):
+    with pytest.raises(ValueError, match=says):
+        absolute_orientation(b, a, **extra)
