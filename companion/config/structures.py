@@ -103,7 +103,7 @@ class DetectionConfig(Struct, frozen=True, kw_only=True):
     the length over width from which on a detection is a stripe. ``hot_pixels`` pairs of column and row that are dead.
     """
 
-    threshold: int = 24
+    threshold: int = 16
     adaptive: bool = True
     min_area_px: int = 1
     max_area_px: int = 4000

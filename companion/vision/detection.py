@@ -21,7 +21,7 @@ flag          meaning
 ``WASHED``    surroundings at the end of the scale of all channels: the light looks smaller than it is
 ``MISSHAPEN`` not one whole disc: half hidden, two lights run together, a streak (see also ``expected_size``)
 ``HOT``       (left out) a single pixel, of which the lens has spread nothing
-``GLINT``     (left out) white in the middle and red only around it
+``GLINT``     (left out) white in the middle and red only around it, or a piece of such a rim
 ``STREAK``    (left out) a stripe or a line of letters
 ``FAINT``     (left out) pale: not red but orange or pink, or much less red than the brightest ones
 ============= ========================================================================================================
@@ -62,8 +62,10 @@ HOT_AREA = 1.5
 surroundings that are white already, more than that is hidden, and a hot pixel does not show.
 """
 
-WHITE_CORE = 0.6
-"""A light is this red at its centroid at least, in shares of its greatest redness."""
+WHITE_CORE, FEW_WHITE = 0.6, 0.02
+"""A light is this red at its centroid at least, in shares of its greatest redness; a small red spot beside white, in a
+picture of which less than FEW_WHITE is white, is the rim of something white.
+"""
 
 LEAST_HUE = 0.4
 """One for red, also in front of white or grey, nought for yellow or magenta: half way is orange or pink."""
@@ -80,7 +82,7 @@ PIXEL_VARIANCE = 1.0 / 12.0
 """Second moment of a pixel about its own middle in px^2."""
 
 WHOLE_ELONGATION = 1.35
-SIGMA_PX, SIGMA_RIM_PX, SIGMA_SATURATED_PX = 0.006, 0.012, 0.07
+SIGMA_PX, SIGMA_RIM_PX, SIGMA_SATURATED_PX = 0.018, 0.012, 0.07
 """What is left of a centroid's error without noise. Where red clips, the rim that still tells the share narrows, the
 more so the brighter its surroundings are: SIGMA_SATURATED_PX times their brightness. Fitted to traced pictures.
 """
@@ -150,7 +152,7 @@ def detect_markers(image: NDArray[np.uint8], config: DetectionConfig = DEFAULT) 
         raise ValueError(msg)
     picture = mend_hot_pixels(image, config.hot_pixels) if config.hot_pixels else np.ascontiguousarray(image)[:]
     picture.flags.writeable = False  # as those off a wire are: the kernels are compiled for one of both only
-    noise = kernels.noise_of(picture)
+    noise, white = kernels.noise_of(picture)
     lit, level = kernels.redness_of(picture), level_for(noise, config)
     if config.morphology_px > 1:
         lit, level = open_mask(lit, level, config.morphology_px), 0
@@ -160,7 +162,7 @@ def detect_markers(image: NDArray[np.uint8], config: DetectionConfig = DEFAULT) 
         runs = kernels.find_runs(lit, raised_level(lit, noise))
         found = kernels.join_runs(runs)
     kept = choose(found, config)
-    return describe(picture.shape, found[kept], blob.measures(picture, runs, found, kept), noise, config)
+    return describe(picture.shape, found[kept], blob.measures(picture, runs, found, kept), noise, white, config)
 
 
 def mend_hot_pixels(image: NDArray[np.uint8], places: tuple[tuple[int, int], ...]) -> NDArray[np.uint8]:
@@ -218,21 +220,22 @@ def choose(found: NDArray[np.int32], config: DetectionConfig) -> NDArray[np.int6
 
 
 def describe(
-    shape: tuple[int, ...], boxes: NDArray[np.int32], table: Mat, noise: float, config: DetectionConfig
+    shape: tuple[int, ...], boxes: NDArray[np.int32], table: Mat, noise: float, white: float, config: DetectionConfig
 ) -> Blobs:
     """Return what the measures ``table`` (m, blob.COLUMNS) of components ``boxes`` (m, 5) say, without clutter."""
     xx, xy, yy = table[:, blob.XX], table[:, blob.XY], table[:, blob.YY]
     middle, half = 0.5 * (xx + yy) + PIXEL_VARIANCE, np.hypot(0.5 * (xx - yy), xy)
     elongation = np.sqrt((middle + half) / np.maximum(middle - half, PIXEL_VARIANCE))
     radius = np.sqrt(table[:, blob.TOTAL] / np.pi)
-    flags = flag(shape, boxes, table, elongation, config)
+    flags = flag(shape, boxes, table, elongation, white, config)
     blobs = Blobs(table[:, [blob.U, blob.V]], boxes[:, kernels.AREA].astype(np.float64),
                   sigma_of(table, flags, radius, noise), radius, elongation, table[:, blob.PEAK], flags)
     return blobs.take((flags & CLUTTER) == 0) if config.reject_clutter else blobs
 
 
 def flag(
-    shape: tuple[int, ...], boxes: NDArray[np.int32], table: Mat, elongation: Vec, config: DetectionConfig
+    shape: tuple[int, ...], boxes: NDArray[np.int32], table: Mat, elongation: Vec, white: float,
+    config: DetectionConfig,
 ) -> NDArray[np.uint8]:
     """Return the flags (m,) of components; see the module's table."""
     right, bottom = shape[1] - 1, shape[0] - 1
@@ -248,6 +251,7 @@ def flag(
         (BlobFlag.MISSHAPEN, elongation > WHOLE_ELONGATION),
         (BlobFlag.HOT, (table[:, blob.TOTAL] < HOT_AREA) & ~border & ~washed),
         (BlobFlag.GLINT, table[:, blob.CORE] < WHITE_CORE),
+        (BlobFlag.GLINT, washed & (table[:, blob.TOTAL] < RESOLVED_AREA) & (white < FEW_WHITE)),
         (BlobFlag.FAINT, table[:, blob.HUE] < LEAST_HUE),
         (BlobFlag.STREAK, (elongation > config.max_elongation) & ~border),
     ):
@@ -260,11 +264,8 @@ def flag(
 
 
 def sigma_of(table: Mat, flags: NDArray[np.uint8], radius: Vec, noise: float) -> Vec:
-    """Return the standard deviation (m,) of the centroids per axis in px: noise, and what clipping does to the rim.
-
-    The share that a pixel is weighted with is a difference of two pixels' redness, its own and its surroundings'.
-    """
-    variance = (2.0**0.5 * REDNESS_NOISE * noise) ** 2 * 0.5 * (table[:, blob.NOISE_U] + table[:, blob.NOISE_V])
+    """Return the standard deviation (m,) of the centroids per axis in px: noise, and what clipping does to the rim."""
+    variance = (REDNESS_NOISE * noise) ** 2 * 0.5 * (table[:, blob.NOISE_U] + table[:, blob.NOISE_V])
     saturated, washed = (flags & BlobFlag.SATURATED) > 0, (flags & BlobFlag.WASHED) > 0
     white = table[:, blob.WHITE]
     uneven = np.where(white > 0, np.maximum(0.0, 1.0 - white / EVEN_WHITE), 0.0)

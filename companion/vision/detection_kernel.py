@@ -47,8 +47,10 @@ def redness_of(image: U8) -> U8:
 
 
 @kernel
-def noise_of(image: U8) -> float:
-    """Return the standard deviation of the sensor's noise in one channel, at least NOISE_LEAST, in steps of 1/255.
+def noise_of(image: U8) -> tuple[float, float]:
+    """Return the sensor's noise in one channel and the share of pixels whose green is at the end of its scale.
+
+    The noise is a standard deviation in steps of 1/255, at least NOISE_LEAST.
 
     The median of the second differences of green along NOISE_ROWS rows, which edges hardly move; an integer v stands
     for all of v - 0.5 to v + 0.5. Pixels at either end of the scale have lost their noise and are left out; where few
@@ -56,22 +58,24 @@ def noise_of(image: U8) -> float:
     """
     h, w, _ = image.shape
     seen = np.zeros(1021, np.int32)
-    count = 0
+    count, looked, white = 0, 1, 0
     for y in range(0, h, max(h // NOISE_ROWS, 1)):
         for x in range(1, w - 1, 2):
             a, b, c = np.int32(image[y, x - 1, 1]), np.int32(image[y, x, 1]), np.int32(image[y, x + 1, 1])
             inside = min(a, b, c) > 0 and max(a, b, c) < 255
             seen[abs(a - 2 * b + c)] += inside
             count += int(inside)
+            looked += 1
+            white += int(b == 255)
     if count < NOISE_SAMPLES:
-        return NOISE_USUAL
+        return NOISE_USUAL, white / looked
     below, v = 0, 0
     while v < 1020 and 2 * (below + seen[v]) < count:
         below += int(seen[v])
         v += 1
     inner = (0.5 * count - below) / max(seen[v], 1)
     median = 0.5 * inner if v == 0 else v - 0.5 + inner
-    return max(NOISE_LEAST, median / SECOND_DIFFERENCE)
+    return max(NOISE_LEAST, median / SECOND_DIFFERENCE), white / looked
 
 
 @kernel

@@ -6,7 +6,7 @@ Rules
 * Navigation lights are red on the left wing tip, green on the right one and white on the tail cone, as on every
   aircraft; theirs are drawn with the radiance of the markers at half their radius, so that only their place tells.
 * Glints are rows of spheres along edges that the sun could catch, white inside and orange at their ends.
-* Nothing of it covers a marker of the shipped map.
+* Nothing of it is within 1 m of a marker of the shipped map, so that the two stay apart at 320x200 too.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def glints() -> list[Glow]:
     """Return streaks on cowls and flap track fairings: orange at both ends, white between."""
     inner: list[tuple[float, float, float]] = []
     outer: list[tuple[float, float, float]] = []
-    for y, steps in ((8.3, 9), (-14.1, 13), (6.2, 5), (-11.2, 7)):
+    for y, steps in ((14.1, 9), (-14.1, 13), (6.2, 5), (-4.2, 7)):
         lead, trail, z = wing_station(abs(y))
-        x, down = (lead + 1.6, z + 1.66 + 1.21) if abs(y) in {8.3, 14.1} else (trail + 0.3, z + 0.28 + 0.23)
+        x, down = (lead + 1.6, z + 1.66 + 1.21) if abs(y) > 14 else (trail + 0.3, z + 0.28 + 0.23)
         for k in range(steps):
             place = (x + GLINT_STEP_M * (k - 0.5 * (steps - 1)), y, down)
             (outer if k in {0, steps - 1} else inner).append(place)
