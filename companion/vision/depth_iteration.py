@@ -24,8 +24,7 @@ from numba import njit
 
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.absolute_orientation import check_weights, rotation_quaternion, rotation_svd
-from companion.vision.lhm import as_floats, complaint, kernel_of
-from companion.vision.lhm_kernel import OK, fold
+from companion.vision.lhm import as_floats, check_geometry, kernel_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,9 +73,7 @@ def solve_depth_iteration(
         raise ValueError(msg)
     w = np.ones(len(points)) if weights is None else check_weights(weights, len(points), 1)[:, 0]
     for used in (slice(None), w > 0.0):
-        status, *_ = fold(points[used], rays[used])
-        if status != OK:
-            raise ValueError(complaint(status, points[used], rays[used]))
+        check_geometry(points[used], rays[used])
     v = np.column_stack([rays, np.ones(len(rays))])
     d = np.array(np.broadcast_to(first_depth(points, v, w, depth_init_m), len(points)))
     R, t = np.empty((3, 3)), np.empty(3)

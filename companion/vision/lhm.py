@@ -27,6 +27,7 @@ from companion.vision.lhm_kernel import (
     ON_A_LINE,
     ONE_RAY,
     WRONG_SHAPE,
+    fold,
     solve_from,
 )
 from companion.vision.lhm_search import MAX_MINIMA, ROW, search
@@ -165,10 +166,21 @@ def complaint(status: int, points: Mat, uv: Mat) -> str:
 def weak_perspective_rotation(points_tanker: Mat, uv: Mat) -> Mat:
     """Return the thesis' cold start R (3, 3): image points as if they were the scene (thesis 6.2.5), never reflected.
 
-    Good for far and shallow scenes only; ``solve_lhm`` without ``R_init`` has a better one.
+    The image points lie on a plane, so that the third row of the listing's rotation has either sign by chance: a cold
+    start without the guard begins, and in many near scenes ends, with a reflection. Good for far and shallow scenes
+    only. Raises ValueError as ``solve_lhm`` does.
     """
-    q = np.column_stack([uv, np.ones(len(uv))])
-    return rotation_svd(np.ascontiguousarray((q - q.mean(axis=0)).T @ (points_tanker - points_tanker.mean(axis=0))))
+    points, rays = as_floats(points_tanker, 2), as_floats(uv, 2)
+    check_geometry(points, rays)
+    q = np.column_stack([rays, np.ones(len(rays))])
+    return rotation_svd(np.ascontiguousarray((q - q.mean(axis=0)).T @ (points - points.mean(axis=0))))
+
+
+def check_geometry(points: Mat, uv: Mat) -> None:
+    """Raise ValueError unless points (n, 3) and uv (n, 2) can fix a pose."""
+    status, *_ = fold(points, uv)
+    if status != OK:
+        raise ValueError(complaint(status, points, uv))
 
 
 def rms_object_error(points: Mat, uv: Mat, T_cam_tanker: SE3) -> float:
