@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from companion.config import Setup
 from companion.geometry import SE3, Mat, log_so3
 from sim_bridge.study import axes, pictures, thesis_numbers
-from sim_bridge.study.counting import Lapack
-from sim_bridge.study.listing import lhm
+from sim_bridge.study.listing import ListedLhm
 from sim_bridge.study.recording import Recording
 from sim_bridge.study.section import Cell, Section, Study, Table
 from sim_bridge.study.solvers import NAMES, Chain, Tracker, tracker
@@ -48,19 +47,6 @@ def offset_yaw(offset_rad: float) -> SE3:
 def both(offset_m: float, offset_rad: float) -> SE3:
     """Return the thesis' start with both offsets."""
     return SE3(offset_yaw(offset_rad).R, offset_translation(offset_m).t)
-
-
-class ListedLhm:
-    """The listing's LHM from its own last R, reflections and all."""
-
-    def __init__(self, T_start: SE3) -> None:
-        self._R = T_start.R
-        self._lapack = Lapack()
-
-    def step(self, points: Mat, uv: Mat, prior: SE3) -> SE3 | None:
-        """See ``Tracker``."""
-        self._R, t, _ = lhm(points, uv, self._R, self._lapack)
-        return SE3(self._R, t)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,12 +153,11 @@ def convergence(study: Study) -> Section:
                "share of the whole turn")
     return Section(
         "7.5.4", "Errors in the initial condition",
-        "Markers {1, 3, 4, 6, 9}, no noise, the thesis' exact condition [60.5 20 -2.5 0 0.467 0], two seconds of "
-        "frames. "
-        f"Found: within {NEAR_M} m and {NEAR_RAD} rad. The interval ends where the solver first fails.",
+        f"Markers {1, 3, 4, 6, 9}, no noise, the thesis' exact condition [60.5 20 -2.5 0 0.467 0], two seconds of "
+        f"frames. Found: within {NEAR_M} m and {NEAR_RAD} rad. The interval ends where the solver first fails.",
         (Table("Convergence area (Tab. 7.6)", columns, tuple(rows), (len(rows) - 2, len(rows) - 1)),),
         (pictures.regions(study.pictures / "convergence.png", m, rad, maps, SAMPLE_S),),
-        _differences(found, farthest_m),
+        _differences(found, turn),
         {"intervals": {name: {"translation_m": t, "yaw_rad": y} for name, (t, y) in found.items()},
          "searched_up_to_m": farthest_m},
     )
@@ -185,23 +170,20 @@ def _text(values: tuple[float, float], farthest: float, unit: str) -> str:
     return f"{low:.1f} to {high:.1f} {unit}" if unit == "m" else f"{low:.2f} to {high:.2f} {unit}"
 
 
-def _differences(found: dict[str, tuple[tuple[float, float], tuple[float, float]]],
-                 farthest_m: float) -> tuple[str, ...]:
+def _differences(
+    found: dict[str, tuple[tuple[float, float], tuple[float, float]]], turn: dict[str, float]
+) -> tuple[str, ...]:
     (low, high), (left, right) = found["GLSDC"]
     return (
         f"GLSDC's interval is {low:.1f} to {high:.1f} m (thesis -44.7 to 65.4) and {left:.2f} to {right:.2f} rad "
-        "(thesis "
-        "-1.74 to 3.06): Gauss-Newton's region depends on where the five markers are, and the thesis' map is not "
-        "given.",
+        "(thesis -1.74 to 3.06): Gauss-Newton's region depends on where the five markers are, and the thesis' map is "
+        "not given.",
         "LHM starts from a rotation alone, so no offset of the translation can matter; SQPNP, EPNP and the chain's "
-        "search "
-        "take no start at all.",
-        f"From a yaw off by more than a right angle the listing's LHM goes to a reflection behind the camera "
-        f"({_text(found[LISTED][1], TURN_RAD, 'rad')}): its change of signs then brings the next frame home, which is "
-        "why the "
-        "thesis saw an influence 'bounded on the first execution' only. Our kernel cannot answer with a reflection and "
-        "ends "
-        f"behind the camera instead ({_text(found['LHM'][1], TURN_RAD, 'rad')}); it says so (not converged), and the "
-        "chain "
-        "then searches from no start, which finds the pose from everywhere.",
+        "search take no start at all.",
+        "From a yaw off by more than about a right angle the listing's LHM goes to a reflection behind the camera; "
+        "its change of signs then brings the next frame home, which is why the thesis saw an influence 'bounded on "
+        f"the first execution' only (it arrives from {100.0 * turn[LISTED]:.0f} % of the turn; a narrow band is lost). "
+        "Our kernel cannot answer with a reflection, so from such a start it ends behind the camera (it arrives from "
+        f"{100.0 * turn['LHM']:.0f} %) and says so: not converged. The chain then searches from no start, which finds "
+        f"the pose from {100.0 * turn['chain']:.0f} %.",
     )

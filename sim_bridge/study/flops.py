@@ -143,8 +143,7 @@ def flops(study: Study) -> Section:
         "7.1", "Number of floating-point operations",
         "The same source is run on numbers that count each addition, multiplication, division, root and trigonometric "
         "function. 'Listing' is the thesis' algorithm as plainly as its listing, with 21 n^3 for an SVD and 2 n^3 for "
-        "an "
-        "inverse (Golub and Van Loan); 'kernel' is what flies, which needs no decomposition.",
+        "an inverse (Golub and Van Loan); 'kernel' is what flies, which needs no decomposition.",
         (_totals(counts), _per_call(counts)), (), _differences(counts, per_step, steps_in_thesis),
         {"glsdc_operations_per_step": per_step, "glsdc_steps_that_explain_the_thesis": steps_in_thesis},
     )
@@ -182,8 +181,8 @@ def _differences(counts: Counts, per_step: float, steps: float) -> tuple[str, ..
     theirs = [thesis_numbers.FLOPS["LHM", mode] / thesis_numbers.CALLS / one for mode in MODES]
     return (
         f"A step of the listing's GLSDC with nine markers is counted at {per_step:.0f}; the thesis' total in SV over "
-        "its "
-        f"401 calls is {steps:.2f} such steps, so its Tab. 7.1 fits the 3 steps of its section 5.3, not the 4 of 7.1.",
+        f"its 401 calls is {steps:.2f} such steps, so its Tab. 7.1 fits the 3 steps of its section 5.3, not the 4 of "
+        "7.1.",
         f"The thesis' LHM total in SV is {theirs[0]:.1f} of our iterations a call; ours takes "
         f"{listed.iterations / listed.calls:.1f}. In RV theirs is {theirs[1]:.1f} and ours "
         f"{real.iterations / real.calls:.1f}: "

@@ -15,12 +15,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.geometry import SE3, Mat
 from sim_bridge.study.counting import Lapack
 
 Array = NDArray[Any]
 """Of floats or of numbers that count."""
 
 MAX_ITERATIONS = 1000
+
+
+class ListedLhm:
+    """The listing's LHM as a solver with a memory: from its own last R, reflections and all."""
+
+    def __init__(self, T_start: SE3) -> None:
+        self._R = T_start.R
+        self._lapack = Lapack()
+
+    def step(self, points: Mat, uv: Mat, prior: SE3) -> SE3:
+        """Return the pose of one frame's markers; see ``solvers.Tracker``."""
+        self._R, t, _ = lhm(points, uv, self._R, self._lapack)
+        return SE3(self._R, t)
 
 
 def glsdc(X: Array, G_seen: Array, markers: Array, steps: int, lapack: Lapack) -> Array:

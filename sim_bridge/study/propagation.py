@@ -85,13 +85,13 @@ def propagation(study: Study) -> Section:
     tables = (_input_table(flown), _output_table(flown), _overlap_table(flown), _normality_table(flown, fixed))
     return Section(
         "7.6", "Error propagation",
-        "Noise on u and v of marker 1, with markers {1, 3, 4, 6, 9}, in simulated vision over 40 s; the run without "
-        "noise "
-        "is subtracted. Spectra are periodograms (eq. 7.2), |H|^2 the ratio of output and input (eq. 7.3). Metres on "
-        "the "
-        f"sensor are for the assumed focal length of {FOCAL_M * 1e3:.0f} mm.",
+        f"Noise on u and v of marker 1, with markers {1, 3, 4, 6, 9}, in simulated vision over 40 s; the run without "
+        "noise is subtracted. Spectra are periodograms (eq. 7.2), |H|^2 the ratio of output and input (eq. 7.3). "
+        f"Metres on the sensor are for the assumed focal length of {FOCAL_M * 1e3:.0f} mm.",
         tables, images, _differences(flown, fixed),
-        {"focal_length_m": FOCAL_M},
+        {"focal_length_m": FOCAL_M,
+         "output_sigma_m": {name: {pictures.power_text(p): [float(v) for v in flown.out_m[name, p].std(axis=0)]
+                                   for p in POWERS} for name in NAMES}},
     )
 
 
@@ -100,8 +100,8 @@ def _input_table(p: Propagated) -> Table:
     for power in POWERS:
         x = p.noise_m[power]
         ours = (x.min(), x.max(), x.mean(), x.std())
-        rows.append((f"ours, {power:g}", *(float(f"{v:.3e}") for v in ours)))
-        rows.append((f"thesis, {power:g}", *thesis_numbers.INPUT_NOISE[power]))
+        rows.append((f"ours, {pictures.power_text(power)}", *(float(f"{v:.3e}") for v in ours)))
+        rows.append((f"thesis, {pictures.power_text(power)}", *thesis_numbers.INPUT_NOISE[power]))
     return Table("Input noise, m on the sensor (Tab. 7.7)", ("power", "min", "max", "mean", "standard deviation"),
                  tuple(rows), (1, 3, 5))
 
@@ -112,7 +112,7 @@ def _output_table(p: Propagated) -> Table:
         deviations = [p.out_m[name, power].std(axis=0) for power in POWERS]
         rows.append((name, *(" ".join(f"{v:.4f}" for v in d) for d in deviations)))
     return Table("Output noise: standard deviation of x y z, m",
-                 ("", *(f"power {power:g}" for power in POWERS)), tuple(rows))
+                 ("", *(f"power {pictures.power_text(power)}" for power in POWERS)), tuple(rows))
 
 
 def _overlap_table(p: Propagated) -> Table:
@@ -159,16 +159,13 @@ def _differences(flown: Propagated, fixed: Propagated) -> tuple[str, ...]:
     entry = normality(flown.noise_m[first])
     return (
         f"GLSDC puts out {ratio[0]:.2f}, {ratio[1]:.2f} and {ratio[2]:.2f} times as much as LHM in x, y and z; the "
-        "thesis saw "
-        "no difference in x and y and more of GLSDC in z. Which solver trusts marker 1 more depends on where it is: "
-        "LHM "
-        "weighs far markers more, and the thesis' map is not given.",
+        "thesis saw no difference in x and y and more of GLSDC in z. Which solver trusts marker 1 more depends on "
+        "where it is: LHM weighs far markers more, and the thesis' map is not given.",
         f"|H|^2 of the three powers overlaps to {worst['GLSDC']:.2f} dB (GLSDC) and {worst['LHM']:.2f} dB (LHM) in the "
-        "median: "
-        "linear for small noise, as the thesis says, but not exactly. What is left grows with the noise; for LHM "
-        "the stopping rule adds to it.",
+        "median: linear for small noise, as the thesis says, but not exactly. What is left grows with the noise; for "
+        "LHM the stopping rule adds to it.",
         f"The input is normal (p = {entry:.2f}). At a fixed pose the outputs are too (least p {still:.2g} for GLSDC); "
-        "over the "
-        f"approach the least p is {moving:.2g}, because the gain falls with the distance and a mixture of normals of "
-        "different sizes is not one. A linear system keeps the shape only when it does not change with time.",
+        f"over the approach the least p is {moving:.2g}, because the gain falls with the distance and a mixture of "
+        "normals of different sizes is not one. A linear system keeps the shape only when it does not change with "
+        "time.",
     )

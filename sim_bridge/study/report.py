@@ -51,12 +51,11 @@ def page(sections: Sequence[Section], about: Sequence[tuple[str, str]], pictures
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Chapter 7 again</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>'
-        "<h1>Performance of GLSDC and LHM: chapter 7 of the thesis again</h1>"
-        "<p>The thesis' studies, on flights of this simulator, beside its printed numbers (set in italics on a tint). "
-        "OpenCV's SQPNP and EPNP and the chain that this project flies stand beside its two solvers. The thesis gives "
-        "neither its camera's data nor its marker map, so the geometry is not the same; where numbers differ, a "
-        "sentence "
-        f"says why.</p><ul>{facts}</ul><nav>{links}</nav>{body}</body></html>\n"
+        "<h1>Performance of GLSDC and LHM: chapter 7 of the thesis again</h1><p>The thesis' studies, on flights of "
+        "this simulator, beside its printed numbers (set in italics on a tint). OpenCV's SQPNP and EPNP and the chain "
+        "that this project flies stand beside its two solvers. The thesis gives neither its camera's data nor its "
+        "marker map, so the geometry is not the same; where numbers differ, a sentence says "
+        f"why.</p><ul>{facts}</ul><nav>{links}</nav>{body}</body></html>\n"
     )
 
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.geometry import Mat, Vec
-from companion.vision.camera import pixels_to_normalised
 from companion.vision.labeling import label_mutual_nearest
 from sim_bridge.study import axes, thesis_numbers
 from sim_bridge.study.recording import Recording, labelled
-from sim_bridge.study.solvers import NAMES, label_for_chain, track
+from sim_bridge.study.solvers import NAMES, look, track, whole_chain
 
 FOCAL_M = 0.05
 """Focal length that turns the thesis' metres on the sensor into ours: it does not give its own. With 50 mm its noise
@@ -66,32 +65,56 @@ def noisy_after(recording: Recording, frames: int, power: float, focal_m: float,
     return uv + sigma(power, focal_m) * rng.standard_normal(uv.shape)
 
 
-def noisy_before(
-    recording: Recording, frames: int, power: float, focal_m: float, rng: np.random.Generator
-) -> tuple[Mat, Mat, int, int]:
-    """Put noise on the detections and label them: as the thesis does, and as the chain does.
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Noisy detections of one frame (m, 2) px, and which of them each marker truly is (n,), -1 for none."""
 
-    Returns both sets of markers (frames, n, 2) and how many labels of each are of another marker.
-    """
-    camera, vision = recording.setup.camera, recording.setup.config.vision
-    scale, deviation = np.array([camera.fx_px, camera.fy_px]), sigma(power, focal_m)
-    nearest, robust = np.full((2, frames, len(recording.markers), 2), np.nan)
-    wrong = [0, 0]
-    for k in range(frames):
-        clean = recording.detected_px[k]
-        px = clean + deviation * scale * rng.standard_normal(clean.shape)
-        labels = label_mutual_nearest(recording.predicted_px[k], px, vision.labeling.max_distance_px)
-        nearest[k] = labelled(recording.setup, px, labels)
-        wrong[0] += mistaken(labels, recording.labels[k])
-        labels = label_for_chain(recording, k, pixels_to_normalised(camera, px), deviation)
-        robust[k] = labelled(recording.setup, px, labels)
-        wrong[1] += mistaken(labels, recording.labels[k])
-    return nearest, robust, wrong[0], wrong[1]
+    px: Mat
+    right: NDArray[np.int64]
+
+
+def noisy_before(
+    recording: Recording, seen: NDArray[np.bool_], power: float, focal_m: float, rng: np.random.Generator
+) -> list[Seen]:
+    """Return the detections with noise, without those of the markers that are not ``seen`` (frames, n)."""
+    camera = recording.setup.camera
+    scale = sigma(power, focal_m) * np.array([camera.fx_px, camera.fy_px])
+    frames = []
+    for k, there in enumerate(seen):
+        clean, labels = recording.detected_px[k], recording.labels[k]
+        kept = np.ones(len(clean), dtype=bool)
+        kept[labels[~there & (labels >= 0)]] = False
+        place = np.cumsum(kept) - 1
+        right = np.where(there & (labels >= 0), place[labels], -1)
+        frames.append(Seen((clean + scale * rng.standard_normal(clean.shape))[kept], right))
+    return frames
 
 
 def mistaken(labels: NDArray[np.int64], right: NDArray[np.int64]) -> int:
     """Return how many labels name another detection than the right one."""
     return int(np.sum((labels >= 0) & (labels != right)))
+
+
+def label_all(recording: Recording, frames: list[Seen]) -> tuple[Mat, int]:
+    """Label noisy detections as the thesis does: the markers (frames, n, 2) on z = 1, and how many labels are wrong."""
+    limit_px = recording.setup.config.vision.labeling.max_distance_px
+    uv, wrong = np.empty((len(frames), len(recording.markers), 2)), 0
+    for k, frame in enumerate(frames):
+        labels = label_mutual_nearest(recording.predicted_px[k], frame.px, limit_px)
+        uv[k] = labelled(recording.setup, frame.px, labels)
+        wrong += mistaken(labels, frame.right)
+    return uv, wrong
+
+
+def fly_chain(recording: Recording, frames: list[Seen], noise_px: float) -> tuple[Mat, NDArray[np.bool_], int]:
+    """Return the chain's positions (frames, 3) by its own labels, which of them are new, and wrong labels passed on."""
+    chain = whole_chain(recording.setup)
+    t, fresh, wrong = np.empty((len(frames), 3)), np.zeros(len(frames), dtype=bool), 0
+    for k, frame in enumerate(frames):
+        pose = look(chain, frame.px, recording.T_prior[k], noise_px)
+        t[k], fresh[k] = (recording.T_gps[k] if pose is None else pose.T_cam_tanker).t, pose is not None
+        wrong += 0 if pose is None else mistaken(pose.labels, frame.right)
+    return t, fresh, wrong
 
 
 def run(
@@ -100,24 +123,24 @@ def run(
     """Run every solver with the noise of every seed; the same noise for all of them and, but for its size, powers."""
     frames = recording.until(RUN_S)
     true = axes.xyz(np.array([T.t for T in recording.T_true[:frames]]))
+    noise, T_start = sigma(power, focal_m), recording.T_prior[0]
     out: dict[str, list[Outcome]] = {name: [] for name in NAMES}
     for seed in seeds:
         rng = np.random.default_rng([seed, 75])
         seen = seen_markers(recording.t_s[:frames], len(recording.markers), rng)
-        wrong_labels = dict.fromkeys(NAMES, 0)
+        if not dropouts:
+            seen[:] = True
         if when == "after":
-            uv = noisy_after(recording, frames, power, focal_m, rng)
-            by_name = dict.fromkeys(NAMES, uv)
+            uv, wrong = np.where(seen[:, :, None], noisy_after(recording, frames, power, focal_m, rng), np.nan), 0
         else:
-            nearest, robust, missed, missed_robust = noisy_before(recording, frames, power, focal_m, rng)
-            by_name = {name: robust if name == "chain" else nearest for name in NAMES}
-            wrong_labels = {name: missed_robust if name == "chain" else missed for name in NAMES}
+            noisy = noisy_before(recording, seen, power, focal_m, rng)
+            uv, wrong = label_all(recording, noisy)
         for name in NAMES:
-            uv = by_name[name]
-            if dropouts:
-                uv = np.where(seen[:, :, None], uv, np.nan)
-            t, _, fresh = track(name, recording, uv, recording.T_prior[0], sigma(power, focal_m))
-            out[name].append(judge(axes.xyz(t) - true, fresh, wrong_labels[name]))
+            if when == "before" and name == "chain":
+                t, fresh, mislabelled = fly_chain(recording, noisy, noise * recording.scale_px())
+            else:
+                (t, _, fresh), mislabelled = track(name, recording, uv, T_start, noise), wrong
+            out[name].append(judge(axes.xyz(t) - true, fresh, mislabelled))
     return out
 
 

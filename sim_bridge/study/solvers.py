@@ -14,15 +14,17 @@ from __future__ import annotations
 from typing import Protocol
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import Setup
 from companion.geometry import SE3, Mat
+from companion.messages import Detections, PoseMeasurement
+from companion.vision.chain import VisionChain
 from companion.vision.glsdc import solve_glsdc
 from companion.vision.lhm import solve_lhm
 from companion.vision.pose import PoseEstimator
-from companion.vision.robust_labeling import label_robust
 from sim_bridge.study.recording import Recording
 
 GLSDC_STEPS = 4
@@ -103,7 +105,8 @@ class Chain:
         vision = setup.config.vision
         markers = len(setup.tanker.markers)
         self._estimator = PoseEstimator(setup.camera, vision, markers)
-        self._sigma = np.full(markers, chain_sigma(setup, noise))
+        scale = float(np.sqrt(setup.camera.fx_px * setup.camera.fy_px))
+        self._sigma = np.full(markers, np.hypot(vision.sigma_px / scale, noise))
         self._verified, self._knows_prior = verified, knows_prior
 
     def step(self, points: Mat, uv: Mat, prior: SE3) -> SE3 | None:
@@ -113,18 +116,18 @@ class Chain:
         return None if isinstance(found, tuple) else found.T_cam_tanker
 
 
-def chain_sigma(setup: Setup, noise: float) -> float:
-    """Return the deviation on the plane z = 1 that the chain reckons with: its own and the noise that is added."""
-    scale = float(np.sqrt(setup.camera.fx_px * setup.camera.fy_px))
-    return float(np.hypot(setup.config.vision.sigma_px / scale, noise))
+def whole_chain(setup: Setup) -> VisionChain:
+    """Return the chain as it flies, with its robust labeling, looking at the picture."""
+    vision = setup.config.vision
+    labeling = msgspec.structs.replace(vision.labeling, method="robust")
+    return VisionChain(setup.camera, setup.tanker, msgspec.structs.replace(vision, mode="rv", labeling=labeling))
 
 
-def label_for_chain(recording: Recording, k: int, uv: Mat, noise: float) -> NDArray[np.int64]:
-    """Label the detections ``uv`` (m, 2) on z = 1 of frame k as the chain does: verified labels, or none at all."""
-    labeling = recording.setup.config.vision.labeling
-    cov = np.diag([labeling.prior_sigma_m**2] * 3 + [labeling.prior_sigma_rad**2] * 3)
-    sigma = np.full(len(uv), chain_sigma(recording.setup, noise))
-    return label_robust(recording.markers, uv, sigma, recording.T_prior[k], cov, labeling).labels
+def look(chain: VisionChain, px: Mat, prior: SE3, noise_px: float) -> PoseMeasurement | None:
+    """Return what the chain makes of detections (m, 2) px that are as noisy as it is told; None when it refuses."""
+    m = len(px)
+    sigma_px = np.full(m, noise_px)
+    return chain.measure(0, Detections(0, px, np.ones(m), sigma_px, np.zeros(m, dtype=np.uint8)), prior).pose
 
 
 def tracker(name: str, setup: Setup, T_start: SE3, noise: float = 0.0, *, verified: bool = True) -> Tracker:
