@@ -28,6 +28,9 @@ SMALLEST = 1e-12
 FARTHEST_M = 1e4
 """No marker is farther than this from the tanker's origin: numbers beyond are as bad as those that are not finite."""
 
+STRAINED = 2.5
+"""Sigmas beyond which a label does not fit well."""
+
 ROUNDS = 6
 """Rounds of fitting and labelling anew at most."""
 
@@ -152,6 +155,27 @@ def drop_worst(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def drop_strained(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat, J: NDArray[np.float64], P: Mat,
+                  gain: Vec, least_odds: float) -> bool:
+    """Take out all labels at once that are unsure for not fitting well; say if one was.
+
+    Where a false label strains a true one, both do not fit well, and taking out the worse could leave the false one.
+    """
+    strained, found = np.zeros(labels.shape[0], dtype=np.bool_), False
+    for i in range(labels.shape[0]):
+        j = labels[i]
+        if j >= 0:
+            own = variance[j] + (map_sigma * J[i, 0, 0]) ** 2
+            d2, _, _, uu, cross, vv = foretold(rays[j], uv[i], J[i], P, own)
+            odds = gain[j] - LOG_2PI - 0.5 * (np.log(uu * vv - cross * cross) + d2)
+            strained[i] = d2 > STRAINED**2 and odds < least_odds
+    for i in range(labels.shape[0]):
+        if strained[i]:
+            labels[i], found = -1, True
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def leave_out_rivals(rays: Mat, variance: Vec, map_sigma: float, labels: Ints, uv: Mat, J: NDArray[np.float64], P: Mat,
                      rival_odds: float) -> int:
     """Take out labels whose foretold place suits another detection about as well; return how many."""
@@ -271,7 +295,9 @@ def settle(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Mat, t0:
     if np.isfinite(log_det):
         total = score(rays, variance, map_sigma, fitting, density, gain, uv, J, log_det)
     copy(fitting, labels)
-    changed = True
+    changed = np.isfinite(log_det)
+    if changed and drop_strained(rays, variance, map_sigma, labels, uv, J, P, gain, limits[2]):
+        log_det = fit(points, rays, variance, map_sigma, labels, R0, t0, prior[which], d, R, t, P, uv, J)
     while changed and np.isfinite(log_det):
         changed = leave_out_rivals(rays, variance, map_sigma, labels, uv, J, P, limits[1]) > 0
         changed = changed or drop_worst(rays, variance, map_sigma, labels, uv, J, P, gain, limits[0], limits[2])

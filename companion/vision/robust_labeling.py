@@ -24,6 +24,7 @@ reason            meaning
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -31,11 +32,17 @@ from scipy.optimize import linear_sum_assignment
 from companion.config import LabelingConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.consensus import settle_all, vote
-from companion.vision.label_kernel import FARTHEST_M, first_labels, settle, two_priors, weigh
-from companion.vision.pose_fit import LOG_2PI, Ints, fit
+from companion.vision.label_kernel import FARTHEST_M, first_labels, settle, squared_distances, two_priors, weigh
+from companion.vision.pose_fit import LOG_2PI, Ints, fit, project
 
 CANDIDATES = 16
 """Sets of labels of the vote that are looked at closely."""
+
+FEW = 6
+"""Labels up to which two at a time are always taken for wrong."""
+
+NEAR_SIGMAS = 25.0
+"""How far false labels may bend a pose off true ones, in sigmas of the bent pose and the detection's noise."""
 
 GATED_OUT = 1e6
 """Cost of a pair outside the gate, for the assignment."""
@@ -230,11 +237,32 @@ def settled(scene: Scene, origin: SE3, priors: tuple[Mat, Vec], limits: Vec, con
 
 def challenged(scene: Scene, found: list[Candidate], prior: SE3, priors: tuple[Mat, Vec], limits: Vec,
                config: LabelingConfig) -> list[Candidate]:
-    """Add to the candidates what becomes of the best one when any one of its labels is taken for wrong."""
+    """Add to the candidates what becomes of the best one when any one of its labels is taken for wrong, or any two.
+
+    Two false labels can bear each other out and bend the pose, so that true ones no longer fit. Two at a time are tried
+    where that may be: among few labels, and where a detection lies somewhat off a marker without a label.
+    """
     best = max(found, key=lambda c: c.score)
-    used = np.flatnonzero(best.fitting >= 0)
-    starts, labels = np.tile(best.deviation, (len(used), 1)), np.tile(best.fitting, (len(used), 1))
-    return found + settled(scene, prior, priors, limits, config, starts, labels, used)
+    used = np.flatnonzero(best.fitting >= 0).tolist()
+    doubts: list[tuple[int, ...]] = [(i,) for i in used]
+    if len(used) <= FEW or near_miss(scene, best, config):
+        doubts += combinations(used, 2)
+    starts, labels = np.tile(best.deviation, (len(doubts), 1)), np.tile(best.fitting, (len(doubts), 1))
+    for k, doubt in enumerate(doubts):
+        labels[k, doubt[1:]] = -1  # the first is barred by ``settle``
+    barred = np.array([doubt[0] for doubt in doubts], dtype=np.int64)
+    return found + settled(scene, prior, priors, limits, config, starts, labels, barred)
+
+
+def near_miss(scene: Scene, best: Candidate, config: LabelingConfig) -> bool:
+    """Say whether a marker without a label has a detection without one within NEAR_SIGMAS of its place."""
+    free, unused = best.fitting < 0, np.ones(len(scene.rays), dtype=bool)
+    unused[best.fitting[~free]] = False
+    points, n = np.ascontiguousarray(scene.points[free]), int(np.count_nonzero(free))
+    uv, J, squared = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, len(scene.rays)))
+    project(points, best.T.R, best.T.t, uv, J)
+    squared_distances(scene.rays, scene.variance, config.map_sigma_m, uv, J, best.cov, NEAR_SIGMAS, squared)
+    return bool(np.isfinite(squared[:, unused]).any())
 
 
 def conclude(scene: Scene, found: list[Candidate], prior: SE3, cov_prior: Mat, priors: tuple[Mat, Vec],
