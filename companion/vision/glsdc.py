@@ -20,6 +20,7 @@ import numpy as np
 
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.absolute_orientation import check_weights
+from companion.vision.frozen import blank, rigid, slots_of
 from companion.vision.glsdc_kernel import FEW_MARKERS, correct
 from companion.vision.lhm import as_floats
 from companion.vision.lhm_kernel import NOT_A_ROTATION, NOT_FINITE, OK
@@ -44,6 +45,19 @@ class GlsdcResult:
     iterations: int
     image_error: float
     converged: bool
+
+
+put_pose, put_iterations, put_image_error, put_converged = slots_of(GlsdcResult)
+
+
+def result(T: SE3, iterations: int, image_error: float, converged: bool) -> GlsdcResult:
+    """Return ``GlsdcResult`` of these fields."""
+    made = blank(GlsdcResult)
+    put_pose(made, T)
+    put_iterations(made, iterations)
+    put_image_error(made, image_error)
+    put_converged(made, converged)
+    return made
 
 
 def solve_glsdc(
@@ -71,7 +85,7 @@ def solve_glsdc(
     status, done, image_error, converged = correct(points, rays, R0, t0, int(iterations), W, int(min_markers), R, t)
     if status != OK:
         raise ValueError(complaint(status, points, rays, min_markers))
-    return GlsdcResult(SE3(R, t), done, image_error, converged)
+    return result(rigid(R, t), done, image_error, converged)
 
 
 def complaint(status: int, points: Mat, uv: Mat, min_markers: int) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.geometry import SE3, Mat
 from companion.vision.absolute_orientation import rotation_svd
+from companion.vision.frozen import blank, rigid, slots_of
 from companion.vision.lhm_kernel import (
     FEW_POINTS,
     NOT_A_ROTATION,
@@ -33,6 +34,8 @@ from companion.vision.lhm_kernel import (
 from companion.vision.lhm_search import MAX_MINIMA, ROW, search
 
 METHODS = {"svd": 0, "quaternion": 1}
+
+FLOAT = np.dtype(np.float64)
 
 COMPLAINTS = {
     WRONG_SHAPE: "points_tanker must be (n, 3) and uv (n, 2)",
@@ -58,6 +61,20 @@ class LhmResult:
     object_error: float
     image_error: float
     converged: bool
+
+
+put_pose, put_iterations, put_object_error, put_image_error, put_converged = slots_of(LhmResult)
+
+
+def result(T: SE3, iterations: int, object_error: float, image_error: float, converged: bool) -> LhmResult:
+    """Return ``LhmResult`` of these fields."""
+    made = blank(LhmResult)
+    put_pose(made, T)
+    put_iterations(made, iterations)
+    put_object_error(made, object_error)
+    put_image_error(made, image_error)
+    put_converged(made, converged)
+    return made
 
 
 def solve_lhm(
@@ -98,7 +115,7 @@ def solve_lhm(
     )
     if status != OK:
         raise ValueError(complaint(status, points, rays))
-    return LhmResult(SE3(R, t), began + iterations, object_error, image_error, converged)
+    return result(rigid(R, t), began + iterations, object_error, image_error, converged)
 
 
 def solve_lhm_minima(
@@ -132,8 +149,8 @@ def minima(points: Mat, uv: Mat, tol: float, epsilon: float, kernel: int, table:
 def unpack(row: Mat) -> LhmResult:
     """Turn a row of the search into a result."""
     iterations, object_error, image_error, settled, ahead, _ = row[12:].tolist()
-    T = SE3(row[:9].reshape(3, 3).copy(), row[9:12].copy())
-    return LhmResult(T, int(iterations), object_error, image_error, bool(settled and ahead))
+    T = rigid(row[:9].reshape(3, 3).copy(), row[9:12].copy())
+    return result(T, int(iterations), object_error, image_error, bool(settled and ahead))
 
 
 def as_floats(a: Mat, dimensions: int) -> Mat:
@@ -141,7 +158,9 @@ def as_floats(a: Mat, dimensions: int) -> Mat:
 
     Anything else, also an array that must not be written, would have the kernels compiled anew.
     """
-    floats = np.ascontiguousarray(a, np.float64)
+    if type(a) is np.ndarray and a.dtype is FLOAT and a.ndim == dimensions and a.flags.carray:
+        return a
+    floats = np.ascontiguousarray(a, FLOAT)
     if floats.ndim != dimensions:
         msg = f"points_tanker must be (n, 3), uv (n, 2), a rotation (3, 3), a translation (3,); one is {floats.shape}"
         raise ValueError(msg)

@@ -1,3 +1,5 @@
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -194,3 +196,15 @@ def test_lists_integers_and_other_layouts_are_taken():
     points, seen, R = CLOUD.tolist(), np.asfortranarray(SEEN), np.eye(3, dtype=np.float32).T
     assert solve_lhm(points, seen, R).iterations == solve_lhm(CLOUD, SEEN, np.eye(3)).iterations
     assert solve_lhm(CLOUD.astype(int), SEEN, np.eye(3, dtype=int)).iterations > 0
+
+
+def test_results_are_frozen_and_whole():
+    found = solve_lhm(CLOUD, SEEN, np.eye(3))
+    assert dataclasses.asdict(found).keys() == {"T_cam_tanker", "iterations", "object_error", "image_error", "converged"}
+    assert isinstance(found.T_cam_tanker, SE3)
+    assert (type(found.iterations), type(found.object_error), type(found.converged)) == (int, float, bool)
+    for thing, field in ((found, "converged"), (found.T_cam_tanker, "R")):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(thing, field, None)
+    again = solve_lhm(CLOUD, SEEN, np.eye(3))
+    assert not np.shares_memory(found.T_cam_tanker.R, again.T_cam_tanker.R)

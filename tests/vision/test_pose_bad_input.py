@@ -114,7 +114,7 @@ def test_what_lies_behind_the_camera_is_never_called_converged(name, seed):
     q = T.transform(points)
     uv = q[:, :2] / q[:, 2:]
     for pose in solved(name, points, uv):
-        assert pose.image_error > 1e-3 or pose.T_cam_tanker.t[2] > 0.0
+        assert pose.image_error > 1e-3
 
 
 @ALL
