@@ -118,13 +118,13 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     """Detection of the airframe's corners, without lights (thesis 1): Shi-Tomasi candidates, Förstner's point estimate.
 
     ``gate_px``: half-width of the windows about predicted corners that are looked through. ``min_gradient``: change in
-    every direction that makes a candidate, in steps of 1/255 per px. ``apart_px``: least distance of two candidates.
-    ``radius_px``: how far about a corner its edges are measured. ``sigma_floor_px``: what the airframe's roundness and
-    shading add to the noise, per axis.
+    every direction that makes a candidate, in steps of 1/255 per px: just above the sensor's noise, so that dusk and
+    haze keep theirs. ``apart_px``: least distance of two candidates. ``radius_px``: how far about one its edges are
+    measured. ``sigma_floor_px``: what the airframe's roundness and shading add to the noise, per axis.
     """
 
     gate_px: float = 24.0
-    min_gradient: float = 6.0
+    min_gradient: float = 2.0
     apart_px: int = 3
     radius_px: int = 4
     max_per_window: int = 6
@@ -137,7 +137,8 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
 
     ``max_distance_px`` bounds a pair of mutual nearest neighbours. The rest is for ``robust``:
 
-    ``prior_sigma_m`` and ``prior_sigma_rad``: standard deviation per axis of the prior's translation and rotation.
+    ``prior_sigma_m`` and ``prior_sigma_rad``: standard deviation per axis of the prior's translation and rotation;
+    ``tracked_sigma_m`` and ``min_agree_tracked`` labels at least while the prior rests on a vision just passed.
     ``gross_probability``: how often the prior's translation is not that good; it is then within ``gross_sigma_m``.
     ``map_sigma_m``: how well the markers' places on the tanker are known, per axis.
     ``detection_probability``: that of a marker being detected; ``false_density``: false detections to reckon with per
@@ -153,6 +154,8 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     max_distance_px: float = 40.0
     prior_sigma_m: float = 1.0
     prior_sigma_rad: float = 0.02
+    tracked_sigma_m: float = 0.3
+    min_agree_tracked: int = 2
     gross_probability: float = 0.01
     gross_sigma_m: float = 3.0
     map_sigma_m: float = 0.01
