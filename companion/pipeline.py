@@ -95,7 +95,7 @@ class Pipeline:
         prior = self.blend.prior(frame.t_ns) if looks else self.blend.gps_prior(frame.t_ns)
         if prior is None:
             return [Reject(frame.t_ns, "vision", "no_prior")]
-        seen = self.vision.process(frame, prior)
+        seen = self.vision.process(frame, prior, tracked=looks and self.blend.tracks(frame.t_ns))
         self._mark("vision")
         fused = self.blend.update(frame.t_ns, seen.pose)
         self._mark("fusion")

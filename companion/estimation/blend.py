@@ -114,6 +114,11 @@ class Blend:
         a = self.align(t_ns)
         return None if a is None else self.T_cam_tanker_of(a, self.relative_position(a)[0])
 
+    def tracks(self, t_ns: int) -> bool:
+        """Say whether the prior of an exposure rests on a blend that is fresh and more vision than GPS."""
+        a = self._anchor
+        return a is not None and (t_ns - a.t_ns) * NS <= self._config.vision_stale_s and a.vision_weight >= 0.5
+
     def gps_prior(self, t_ns: int) -> SE3 | None:
         """Return ``T_cam_tanker`` at an exposure by GPS and INU alone."""
         a = self.align(t_ns)

@@ -23,10 +23,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config import CameraConfig, TankerConfig, VisionConfig, landmarks
+from companion.config import CameraConfig, LabelingConfig, TankerConfig, VisionConfig, landmarks
 from companion.geometry import SE3, Mat, Vec
 from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
@@ -43,6 +44,9 @@ Ints = NDArray[np.int64]
 FARTHEST_M = 1e6
 """A prior farther away than this is no prior: its square still has digits to spare."""
 
+TRACKED_GROSS = 1e-4
+"""How often a prior that rests on a vision just passed is grossly wrong."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labelled:
@@ -50,6 +54,16 @@ class Labelled:
 
     labels: Ints
     T_cam_tanker: SE3 | None
+
+
+def labeling_stages(config: LabelingConfig) -> tuple[tuple[LabelingConfig, Mat], tuple[LabelingConfig, Mat]]:
+    """Return limits and covariance of the prior: with GPS alone behind it, and with a vision just passed."""
+    turned = [config.prior_sigma_rad**2] * 3
+    tracked = msgspec.structs.replace(
+        config, min_agree=min(config.min_agree, config.min_agree_tracked), gross_probability=TRACKED_GROSS
+    )
+    far, near = (np.diag([sigma_m**2] * 3 + turned) for sigma_m in (config.prior_sigma_m, config.tracked_sigma_m))
+    return (config, far), (tracked, near)
 
 
 def detections_of(t_ns: int, blobs: Blobs) -> Detections:
@@ -68,13 +82,13 @@ class VisionChain:
         self.markers: Mat = np.array([m.p_tanker_m for m in landmarks(tanker, config)], dtype=np.float64).reshape(-1, 3)
         self._pose = PoseEstimator(camera, config, len(self.markers))
         self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
-        labeling = config.labeling
-        self._cov_prior: Mat = np.diag([labeling.prior_sigma_m**2] * 3 + [labeling.prior_sigma_rad**2] * 3)
+        self._stages = labeling_stages(config.labeling)
 
-    def process(self, frame: CameraFrame, prior_T_cam_tanker: SE3 | None) -> VisionOutput:
+    def process(self, frame: CameraFrame, prior_T_cam_tanker: SE3 | None, *, tracked: bool = False) -> VisionOutput:
         """Return what ``frame`` shows, given about where the tanker is: T_cam_tanker from fusion (thesis 3.2).
 
         None when nothing is known of where the tanker is: its lights are then searched for (``reacquire``).
+        ``tracked``: the prior rests on a vision just passed, so that fewer labels than otherwise are sure.
         """
         prior = prior_T_cam_tanker
         if prior is not None and not (np.abs(prior.R).max() <= 2.0 and np.abs(prior.t).max() <= FARTHEST_M):
@@ -89,12 +103,13 @@ class VisionChain:
             corners = detect_corners(frame.image, places, self.config.corners)
             flags = np.zeros(len(corners.uv_px), dtype=np.uint8)
             detections = Detections(frame.t_ns, corners.uv_px, corners.area_px, corners.sigma_px, flags)
-            return self.measure(frame.sequence, detections, prior)
+            return self.measure(frame.sequence, detections, prior, tracked=tracked)
         blobs = detect_markers(frame.image, self.config.detection)
-        return self.measure(frame.sequence, detections_of(frame.t_ns, blobs), prior, blobs)
+        return self.measure(frame.sequence, detections_of(frame.t_ns, blobs), prior, blobs, tracked=tracked)
 
     def measure(
-        self, sequence: int, detections: Detections, prior: SE3 | None, blobs: Blobs | None = None
+        self, sequence: int, detections: Detections, prior: SE3 | None, blobs: Blobs | None = None, *,
+        tracked: bool = False,
     ) -> VisionOutput:
         """Label detections and solve for the pose: ``process`` without the picture.
 
@@ -102,7 +117,7 @@ class VisionChain:
         """
         predicted = self._predicted(prior)
         uv = pixels_to_normalised(self.camera, detections.uv_px)
-        found = self._label(predicted, uv, self._sigma(detections), detections, prior)
+        found = self._label(predicted, uv, detections, prior, tracked=tracked)
         if isinstance(found, tuple):
             return self._output(sequence, detections, predicted, found)
         if blobs is not None and found.T_cam_tanker is not None:
@@ -148,27 +163,30 @@ class VisionChain:
         return project(self.camera, prior, self.markers)
 
     def _label(
-        self, predicted: Mat, uv: Mat, sigma: Vec, detections: Detections, prior: SE3 | None
+        self, predicted: Mat, uv: Mat, detections: Detections, prior: SE3 | None, *, tracked: bool
     ) -> Labelled | Refusal:
         """Return which detection each marker is, by the thesis' rule or by the robust one; or why nothing is sure."""
         config = self.config.labeling
         if config.method == "mutual_nearest":
             labels = label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
             return Labelled(labels, prior)
-        found = self._searched(uv, sigma, prior)
+        found = self._searched(uv, self._sigma(detections), prior, tracked=tracked)
         if found.reason == "no_detections":
             return "few_markers", f"0 of {self.config.min_markers}"
         if not found.verified:
             return "labels", found.reason
         return Labelled(found.labels, found.T_cam_tanker)
 
-    def _searched(self, uv: Mat, sigma: Vec, prior: SE3 | None) -> Labels:
+    def _searched(self, uv: Mat, sigma: Vec, prior: SE3 | None, *, tracked: bool) -> Labels:
         """Label about the prior; where that fails, anywhere with the prior's attitude; with no prior, anywhere."""
         config = self.config.labeling
         if prior is None:
             return reacquire(self.markers, uv, sigma, config)
-        found = label_robust(self.markers, uv, sigma, prior, self._cov_prior, config)
-        if found.verified or len(uv) < config.min_agree:
+        for here, cov_prior in self._stages[::-1] if tracked else self._stages[:1]:
+            found = label_robust(self.markers, uv, sigma, prior, cov_prior, here)
+            if found.verified:
+                return found
+        if len(uv) < config.min_agree:
             return found
         again = reacquire(self.markers, uv, sigma, config, prior.R)
         return again if again.verified else found
