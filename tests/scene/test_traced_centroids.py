@@ -46,7 +46,7 @@ def report(name: str, gain: float, errors: Mat, sigma: Vec, missed: int) -> None
 @pytest.mark.parametrize("name", ["default", "thesis"])
 def test_centroids_have_no_bias_and_the_sigma_they_say(lights: LightTracer, name: str) -> None:
     camera = lights.scene.cameras[name]
-    pictures, centres, _ = windows(lights, camera, poses_on_the_way(lights.scene, np.random.default_rng(21), 4))
+    pictures, centres, _ = windows(lights, camera, poses_on_the_way(lights.scene, np.random.default_rng(21), 3))
     for gain in (0.3, 1.0):
         uv, sigma, found = detected(pictures, centres, gain, 22)
         errors = uv - centres[found, 2:]
@@ -59,13 +59,13 @@ def test_centroids_have_no_bias_and_the_sigma_they_say(lights: LightTracer, name
 def test_centroids_hold_through_a_strong_lens(lights: LightTracer) -> None:
     """k1 = -0.3: detected in the bent picture, undistorted, and put beside the straight projection, in its pixels."""
     camera: CameraConfig = msgspec.structs.replace(lights.scene.cameras["default"], distortion=BARREL)
-    poses = poses_on_the_way(lights.scene, np.random.default_rng(23), 3)
+    poses = poses_on_the_way(lights.scene, np.random.default_rng(23), 2)
     pictures, centres, _ = windows(lights, camera, poses)
     uv, _, found = detected(pictures, centres, 1.0, 24)
     straight, truth = (pixels_to_normalised(camera, p) * camera.fx_px for p in (uv, centres[found, 2:]))
     bent_by = np.sqrt(np.sum((truth - (centres[found, 2:] - [camera.cx_px, camera.cy_px])) ** 2, axis=1))
     assert len(found) == len(pictures)
-    assert bent_by.max() > 10
+    assert bent_by.max() > 8
     assert np.abs((straight - truth).mean(axis=0)).max() < 0.02
     assert np.sqrt(np.mean((straight - truth) ** 2)) < 0.06
 

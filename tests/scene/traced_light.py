@@ -19,7 +19,7 @@ from sim_bridge.scene.camera_picture import LIGHT, LIT_BY, NOISE, SPREAD_PX, sce
 from sim_bridge.scene.tanker_mesh import boom_poses
 
 FINE = 16
-HALF = 12
+HALF = 10
 SKY = np.array([0.42, 0.60, 0.86])
 
 
