@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pose_scenes import ahead, scene
 
@@ -48,6 +48,7 @@ def solved(name, points, uv):
 
 
 @ALL
+@settings(max_examples=40)
 @given(n=st.integers(0, 6), data=st.data())
 def test_any_numbers_at_all(name, n, data):
     numbers = st.floats(allow_nan=True, allow_infinity=True) | st.sampled_from([0.0, 1.0, 1e300, 1e-300])
@@ -59,6 +60,7 @@ def test_any_numbers_at_all(name, n, data):
 
 
 @ALL
+@settings(max_examples=40)
 @given(seed=SEEDS, n=st.integers(0, 3))
 def test_too_few_points(name, seed, n):
     rng = np.random.default_rng(seed)
@@ -67,6 +69,7 @@ def test_too_few_points(name, seed, n):
 
 
 @ALL
+@settings(max_examples=40)
 @given(seed=SEEDS, n=st.integers(3, 9))
 def test_points_on_a_line_or_all_in_one(name, seed, n):
     rng = np.random.default_rng(seed)
@@ -81,6 +84,7 @@ def test_points_on_a_line_or_all_in_one(name, seed, n):
 
 
 @ALL
+@settings(max_examples=40)
 @given(seed=SEEDS, where=st.sampled_from(["points", "uv"]), what=st.sampled_from([np.nan, np.inf, -np.inf]))
 def test_numbers_that_are_none(name, seed, where, what):
     rng = np.random.default_rng(seed)
@@ -91,6 +95,7 @@ def test_numbers_that_are_none(name, seed, where, what):
 
 
 @ALL
+@settings(max_examples=40)
 @given(seed=SEEDS, copies=st.integers(1, 3))
 def test_markers_that_are_given_twice(name, seed, copies):
     """The same point seen at the same place twice only weighs more; three points and copies of them stay three."""
@@ -105,6 +110,7 @@ def test_markers_that_are_given_twice(name, seed, copies):
 
 
 @ALL
+@settings(max_examples=40)
 @given(seed=SEEDS)
 def test_what_lies_behind_the_camera_is_never_called_converged(name, seed):
     """The picture of points behind the camera, which no camera takes: their mirror image in front fits it badly."""
