@@ -12,7 +12,7 @@ help:
 	@echo "make sitl     fly a docking: simulator and companion as two processes on the wall clock (about two minutes)"
 	@echo "make fly      the same flight in lockstep, faster than real time, the same bits for the same SEED"
 	@echo "make view     open the newest recording in the Rerun viewer"
-	@echo "make study    chapter 7 of the thesis again: a report in runs (five minutes; ARGS='--quick' for a look)"
+	@echo "make study    chapter 7 of the thesis again: a report in runs (minutes; ARGS='--quick' for a look)"
 	@echo "make test     the tests        make check    style, types, imports"
 	@echo "make bench    speed and accuracy figures"
 	@echo "make figures  the pictures of the README"

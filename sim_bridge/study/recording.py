@@ -23,6 +23,7 @@ from sim_bridge.study.axes import xyz
 from sim_bridge.truth import Truth
 
 Mode = Literal["sv", "rv"]
+MODES: tuple[Mode, Mode] = ("sv", "rv")
 DURATION_S = 51.0
 """The thesis looks at 50 s at the most (Tab. 7.5); a second more leaves room for shifts in time (7.3)."""
 

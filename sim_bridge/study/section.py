@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sim_bridge.study.recording import Recording
+from sim_bridge.study.recording import Mode, Recording
 
 Cell = float | int | str
 
@@ -68,7 +68,7 @@ class Study:
     pictures: Path
     executor: Executor | None = None
 
-    def recording(self, mode: str) -> Recording:
+    def recording(self, mode: Mode) -> Recording:
         """Return the flight with simulated or real vision."""
         return self.sv if mode == "sv" else self.rv
 

@@ -12,7 +12,7 @@ from sim_bridge.study import listing, thesis_numbers
 from sim_bridge.study.counting import Lapack
 from sim_bridge.study.flops import RUN_S, crf_state
 from sim_bridge.study.listing import ListedLhm
-from sim_bridge.study.recording import Recording
+from sim_bridge.study.recording import MODES, Recording
 from sim_bridge.study.section import Cell, Section, Study, Table
 from sim_bridge.study.solvers import GLSDC_STEPS, NAMES, tracker
 
@@ -55,7 +55,7 @@ def medians_us(by_name: dict[str, Call], frames: int, rounds: int) -> dict[str, 
 def timing(study: Study) -> Section:
     """Time every solver on the frames of both flights."""
     figures: dict[tuple[str, str], float] = {}
-    for mode in ("sv", "rv"):
+    for mode in MODES:
         recording = study.recording(mode)
         frames = recording.until(RUN_S)
         for names, rounds in ((NAMES, 2 if study.quick else 10), (LISTED, 1)):
