@@ -15,11 +15,13 @@ A sphere's outline is an ellipse about X Z / (Z^2 - r^2), not about X / Z: for a
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from companion.config import CameraConfig
 from companion.geometry import SE3, Mat, Vec
-from companion.vision.camera import project
+from companion.vision.camera import NEAREST_M, bends, normalised_to_pixels
 from companion.vision.detection import BlobFlag, Blobs
 
 SLOPE_SATURATED, SLOPE_LINEAR = 1.0, 0.6
@@ -32,6 +34,9 @@ SMALLER, SMALLER_LINEAR, LARGER = 0.075, 0.12, 0.16
 LONGER = 1.27
 """Elongation that no whole light has, when its distance says that it is one."""
 
+STEP = 1e-4
+"""How far on z = 1 the lens' enlargement is measured."""
+
 FEWEST = 3
 SIGMA_PER_LACK, SIGMA_PER_LENGTH = 1.2, 0.5
 """Error of a centroid per axis for the radius that it lacks, and for its length beyond its width."""
@@ -43,15 +48,22 @@ def apparent_radius_px(camera: CameraConfig, T_cam_tanker: SE3, markers: Mat, ra
     The lens' stretching counts. NaN where the camera cannot see.
     """
     p = T_cam_tanker.transform(np.asarray(markers, dtype=np.float64))
-    sight = p / np.sqrt(np.einsum("ij,ij->i", p, p))[:, None]
-    across = np.cross(sight, np.array([0.0, 1.0, 0.0]))
-    across /= np.sqrt(np.einsum("ij,ij->i", across, across))[:, None]
-    here = SE3.identity()
-    middle, right, down = (
-        project(camera, here, p + radius_m * d) for d in (np.zeros_like(p), across, np.cross(sight, across))
-    )
-    a, b = right - middle, down - middle
-    return np.sqrt(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    z = np.where(p[:, 2] > NEAREST_M, p[:, 2], np.nan)
+    uv = p[:, :2] / z[:, None]
+    # Of distance d at angle a off the axis: r / d across the sight is f r / (d cos a) one way, f r / (d cos^2 a) the
+    # other, and d cos a is the depth.
+    stretch = np.sqrt(np.sqrt(1.0 + np.einsum("ij,ij->i", uv, uv)))
+    pinhole = (radius_m * math.sqrt(camera.fx_px * camera.fy_px)) * stretch / z
+    return pinhole * np.sqrt(magnification(camera, uv)) if bends(camera) else pinhole
+
+
+def magnification(camera: CameraConfig, uv: Mat) -> Vec:
+    """Return by how much the lens enlarges areas (n,) about places uv (n, 2) on z = 1, beside a pinhole."""
+    step = np.array([[0.0, 0.0], [STEP, 0.0], [0.0, STEP]])
+    there = normalised_to_pixels(camera, (uv[None] + step[:, None]).reshape(-1, 2)).reshape(3, -1, 2)
+    a, b = there[1] - there[0], there[2] - there[0]
+    area: Vec = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return area / (STEP * STEP * camera.fx_px * camera.fy_px)
 
 
 def compare_with_expected(blobs: Blobs, expected_radius_px: Vec) -> Blobs:
