@@ -166,7 +166,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     min_rival_odds: float = 8.0
     min_agree: int = 4
     min_score: float = 10.0
-    min_margin: float = 7.0
+    min_margin: float = 8.0
     max_range_m: float = 150.0
     min_agree_blind: int = 6
 

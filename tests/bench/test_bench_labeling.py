@@ -38,7 +38,7 @@ def microseconds(function, rounds):
 
 @pytest.mark.parametrize("trouble", ["none", "every"])
 def test_wrong_labels_of_both(scenes, trouble):
-    """2000 frames; no light's label may be wrong, but for false points nobody could tell from it."""
+    """2000 frames; a false point where a missing light would be, within the noise, counts as wrong too."""
     kind = scenes.Trouble() if trouble == "every" else scenes.Trouble(0, 0, split=0.0, merged=0.0, gross=0.0)
     rng, nearest, robust, passed = np.random.default_rng(5), LabelScore(9), scenes.Tally(), 0
     for _ in range(2000):
@@ -51,7 +51,6 @@ def test_wrong_labels_of_both(scenes, trouble):
     print(f"\n{trouble} trouble, mutual nearest, {passed} frames with five labels or more\n{nearest.table()}")
     print(f"{trouble} trouble, robust\n{robust.text()}")
     assert robust.score.swapped == 0
-    assert max(robust.surprises, default=0.0) <= scenes.CONFIG.gate_sigma
 
 
 def test_time(scenes):
