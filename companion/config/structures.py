@@ -120,7 +120,8 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     ``gate_px``: half-width of the windows about predicted corners that are looked through. ``min_gradient``: change in
     every direction that makes a candidate, in steps of 1/255 per px: just above the sensor's noise, so that dusk and
     haze keep theirs. ``apart_px``: least distance of two candidates. ``radius_px``: how far about one its edges are
-    measured. ``sigma_floor_px``: what the airframe's roundness and shading add to the noise, per axis.
+    measured. ``max_detections``: the strongest of all windows; the search of the labeling takes longer for more.
+    ``sigma_floor_px``: what the airframe's roundness and shading add to the noise, per axis.
     """
 
     gate_px: float = 24.0
@@ -128,7 +129,7 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     apart_px: int = 3
     radius_px: int = 4
     max_per_window: int = 6
-    max_detections: int = 80
+    max_detections: int = 40
     sigma_floor_px: float = 0.4
 
 
