@@ -14,21 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
-
 from companion.config import ConfigError, Setup
-from companion.geometry import SE3, R_cam_crf
 from companion.io.camera import open_camera
 from companion.io.clock import MonotonicClock
 from companion.io.console import FlightConsole
 from companion.io.datalink import SerialDatalink
 from companion.io.mavlink import MavlinkUdp, OnBytes
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import CameraFrame, Output, Phase, PhaseChange, Reject, VisionModeChange
+from companion.messages import Output, Phase, PhaseChange, Reject, VisionModeChange
 from companion.pipeline import Pipeline
 from companion.ports import Clock
 from companion.runtime import Service, Watched, in_phase_s, run_live
-from companion.vision.camera import project
+from companion.vision.rehearsal import rehearse
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +42,10 @@ class RunOptions:
 def warm_up(setup: Setup) -> None:
     """Compile what numba compiles and load what loads late, before the first picture counts.
 
-    A picture of red squares where the markers of a tanker straight ahead would be goes through the whole chain. Raises
-    ConfigError for a configuration that no pipeline can be built of.
+    Raises ConfigError for a configuration that no pipeline can be built of.
     """
-    chain = Pipeline(setup).vision
-    image = np.zeros((setup.camera.height_px, setup.camera.width_px, 3), dtype=np.uint8)
-    ahead = SE3(R_cam_crf, np.array([0.0, 0.0, 60.0]))
-    for u, v in project(setup.camera, ahead, chain.markers).round():
-        if 0 <= u < setup.camera.width_px and 0 <= v < setup.camera.height_px:
-            image[int(v) : int(v) + 2, int(u) : int(u) + 2, 0] = 255
-    for _ in range(3):
-        chain.process(CameraFrame(0, 0, image), ahead)
+    Pipeline(setup)
+    rehearse(setup.camera, setup.tanker, setup.config.vision)
 
 
 def enough(seconds: float | None) -> float:
