@@ -41,7 +41,11 @@ def rotation_svd(M: Mat) -> Mat:
     """Return the rotation (3, 3) that maximises tr(R^T M), by singular values, det R = +1 always."""
     U, _, Vt = np.linalg.svd(M)
     R = U @ Vt
-    if np.linalg.det(R) < 0.0:
+    x, y, z = R[0], R[1], R[2]
+    triple = (
+        x[0] * (y[1] * z[2] - y[2] * z[1]) + x[1] * (y[2] * z[0] - y[0] * z[2]) + x[2] * (y[0] * z[1] - y[1] * z[0])
+    )
+    if triple < 0.0:
         U[:, 2] = -U[:, 2]
         R = U @ Vt
     return R

@@ -76,15 +76,14 @@ def solve_depth_iteration(
         check_geometry(points[used], rays[used])
     v = np.column_stack([rays, np.ones(len(rays))])
     d = np.array(np.broadcast_to(first_depth(points, v, w, depth_init_m), len(points)))
-    R, t = np.empty((3, 3)), np.empty(3)
+    R, t = np.eye(3), np.zeros(3)
     done, squared, settled = iterate_depths(
         points, v, w / w.max(), d, method == 1, kernel_of(kernel), int(iterations), float(tol), R, t
     )
     T = SE3(R, t)
     x = T.transform(points)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = x[:, :2] / x[:, 2:] - rays
-    image = float(np.sqrt(np.sum(off * off) / len(points)))
+    with np.errstate(all="ignore"):
+        image = float(np.sqrt(np.sum((x[:, :2] / x[:, 2:] - rays) ** 2) / len(points)))
     ahead = bool((x[w > 0.0, 2] > 0.0).all())
     return DepthResult(T, d, done, float(np.sqrt(squared / (w.sum() / w.max()))), image, settled and ahead)
 
@@ -114,9 +113,12 @@ def spread(a: Mat, w: Vec) -> tuple[Vec, float]:
     return mean, squares
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def orient(points: Mat, q: Mat, w: Vec, kernel: int, R: Mat, t: Vec) -> float:
-    """Write the absolute orientation of points to q into R and t (thesis eq. 5.30); return the ratio of their sizes."""
+    """Write the absolute orientation of points to q into R and t (thesis eq. 5.30); return the ratio of their sizes.
+
+    Numbers that are no longer finite leave R and t as they are.
+    """
     mean_p, size_p = spread(points, w)
     mean_q, size_q = spread(q, w)
     M = np.zeros((3, 3))
@@ -124,13 +126,16 @@ def orient(points: Mat, q: Mat, w: Vec, kernel: int, R: Mat, t: Vec) -> float:
         for j in range(3):
             for k in range(3):
                 M[j, k] += w[i] * (q[i, j] - mean_q[j]) * (points[i, k] - mean_p[k])
+    scale = np.sqrt(size_p / size_q)
+    if not np.isfinite(M.sum() + scale):
+        return np.nan
     R[:] = rotation_quaternion(M) if kernel == 1 else rotation_svd(M)
     for j in range(3):
         t[j] = mean_q[j] - (R[j, 0] * mean_p[0] + R[j, 1] * mean_p[1] + R[j, 2] * mean_p[2])
-    return np.sqrt(size_p / size_q)
+    return scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def iterate_depths(
     points: Mat, v: Mat, w: Vec, d: Vec, scaled: bool, kernel: int, iterations: int, tol: float, R: Mat, t: Vec
 ) -> tuple[int, float, bool]:
@@ -144,6 +149,8 @@ def iterate_depths(
             for k in range(3):
                 q[i, k] = d[i] * v[i, k]
         scale = orient(points, q, w, kernel, R, t)
+        if not np.isfinite(scale):
+            return done, np.nan, False
         squared, settled = 0.0, True
         for i in range(n):
             along, length, off = 0.0, 0.0, 0.0

@@ -77,7 +77,7 @@ def way_down(diagonal: Three, beside: Three, g: Three) -> Three:
     Q[1, 0], Q[2, 0], Q[2, 1] = beside
     Q[0, 1], Q[0, 2], Q[1, 2] = beside
     values, axes = np.linalg.eigh(Q)
-    least, x, y, z = 1e-12 * np.abs(values).max(), 0.0, 0.0, 0.0
+    least, x, y, z = 1e-12 * (abs(values[0]) + abs(values[2])), 0.0, 0.0, 0.0
     for k in range(3):
         along = axes[0, k] * g[0] + axes[1, k] * g[1] + axes[2, k] * g[2]
         along /= max(abs(values[k]), least)

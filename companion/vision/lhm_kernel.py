@@ -175,7 +175,8 @@ def error_by_points(A: Mat, p: Mat, uv: Mat, r: Nine) -> float:
 @njit(cache=True, nogil=True)
 def decomposed(m: Nine, method: int) -> Nine:
     """Return the rotation that maximises tr(R^T M) by a decomposition: SVD for method 0, quaternion for 1."""
-    M = np.array(m).reshape(3, 3)
+    M = np.empty((3, 3))
+    M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2] = m
     R = rotation_quaternion(M) if method == 1 else rotation_svd(M)
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
@@ -235,7 +236,7 @@ def image_error(p: Mat, uv: Mat, r: Nine, t: Three) -> tuple[float, bool]:
     squared, ahead = 0.0, True
     for i in range(p.shape[0]):
         x, y, z = moved(p, i, r, t)
-        ahead = ahead and z > 0.0
+        ahead = ahead and z > 1e-9 * (abs(x) + abs(y))  # in the camera's plane but for rounding is not ahead
         u, v = x / z - uv[i, 0], y / z - uv[i, 1]
         squared += u * u + v * v
     return squared, ahead
