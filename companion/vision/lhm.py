@@ -90,10 +90,10 @@ def solve_lhm(
 
     ``uv`` (n, 2) are the markers seen on the plane z = 1, undistorted; n >= 3, though the thesis asks for 5 (6.3).
     ``R_init`` is where R_cam_tanker starts, usually the last frame's. Without it ``start`` says how to begin:
-    ``global`` searches for the best minimum (``lhm_search``; reliably so from 5 markers on), ``weak_perspective`` is the
-    thesis' start (6.2.5), good for far and shallow scenes only. Iterates until the sum of squared errors is at most ``epsilon`` m^2
-    or changes by a fraction of at most ``tol`` (thesis 6.3). ``method`` svd takes the rotation of the guarded SVD, by
-    its closed form; quaternion takes Horn's.
+    ``global`` searches for the best minimum (``lhm_search``; reliable from 5 markers on), ``weak_perspective`` is the
+    thesis' start (6.2.5), good for far and shallow scenes only. Iterates until the sum of squared errors is at most
+    ``epsilon`` m^2 or changes by a fraction of at most ``tol`` (thesis 6.3). ``method`` svd takes the rotation of the
+    guarded SVD, by its closed form; quaternion takes Horn's.
 
     Raises ValueError for wrong shapes, numbers that are not finite, points on one line, rays that coincide.
     """
