@@ -117,50 +117,52 @@ def frames_map(scene: Scene, name: str, offsets_m: Mat, offsets_rad: Mat) -> NDA
     return np.array([[scene.frames_needed(name, both(m, rad)) for m in offsets_m] for rad in offsets_rad])
 
 
+Interval = tuple[float, float]
+Intervals = dict[str, tuple[Interval, Interval]]
+"""By solver: offsets of the translation in m, of yaw in rad."""
+
+
 def convergence(study: Study) -> Section:
     """Search the intervals of Tab. 7.6 and draw the region of both offsets."""
     scene = scene_of(study.sv)
-    step_m, step_rad = (2.0, 0.05) if study.quick else (0.5, 0.01)
-    farthest_m = 200.0 if study.quick else FARTHEST_M
-    found = {
+    step_m, step_rad, farthest_m, count = (2.0, 0.05, 200.0, 21) if study.quick else (0.5, 0.01, FARTHEST_M, 61)
+    found: Intervals = {
         name: (interval(scene, name, offset_translation, farthest_m, step_m),
                interval(scene, name, offset_yaw, TURN_RAD, step_rad))
         for name in NAMES
     }
     step_listed = 20.0 * step_rad if study.quick else 5.0 * step_rad
     found[LISTED] = found["LHM"][0], interval(scene, LISTED, offset_yaw, TURN_RAD, step_listed)
-    settle = {
-        name: (max(scene.frames_needed(name, offset_translation(v)) for v in by_m),
-               max(scene.frames_needed(name, offset_yaw(v)) for v in by_rad))
-        for name, (by_m, by_rad) in found.items()
-    }
-    rows: list[tuple[Cell, ...]] = [
-        (name, _text(by_m, farthest_m, "m"), _text(by_rad, TURN_RAD, "rad"),
-         *(round(frames * SAMPLE_S, 1) for frames in settle[name]))
-        for name, (by_m, by_rad) in found.items()
-    ]
-    rows += [("thesis, GLSDC", "-44.7 to 65.4 m", "-1.74 to 3.06 rad", 0.4, ""),
-             ("thesis, LHM", "unbounded", "the whole turn", "", "")]
-    count = 21 if study.quick else 61
-    m, rad = np.linspace(-80.0, 80.0, count), np.linspace(-TURN_RAD, TURN_RAD, count)
-    maps = {name: frames_map(scene, name, m, rad) for name in ("GLSDC", "LHM")}
     around = np.linspace(-TURN_RAD, TURN_RAD, 21 if study.quick else 101)
     turn = {name: float(np.mean([scene.frames_needed(name, offset_yaw(v)) > 0 for v in around])) for name in found}
-    rows = [(*row, f"{100.0 * turn[row[0]]:.0f} %") for row in rows if row[0] in turn] + [
-        (*row, "") for row in rows if row[0] not in turn
-    ]
-    columns = ("", "offset on x, y and z", "offset on psi", "settled at the edges of the first, s", "of the second, s",
-               "share of the whole turn")
+    m, rad = np.linspace(-80.0, 80.0, count), np.linspace(-TURN_RAD, TURN_RAD, count)
+    maps = {name: frames_map(scene, name, m, rad) for name in ("GLSDC", "LHM")}
     return Section(
         "7.5.4", "Errors in the initial condition",
-        f"Markers {1, 3, 4, 6, 9}, no noise, the thesis' exact condition [60.5 20 -2.5 0 0.467 0], two seconds of "
-        f"frames. Found: within {NEAR_M} m and {NEAR_RAD} rad. The interval ends where the solver first fails.",
-        (Table("Convergence area (Tab. 7.6)", columns, tuple(rows), (len(rows) - 2, len(rows) - 1)),),
+        "Markers 1, 3, 4, 6 and 9, no noise, the thesis' exact condition [60.5 20 -2.5 0 0.467 0], two seconds of "
+        f"frames. Found: within {NEAR_M} m and {NEAR_RAD} rad. The interval ends where the solver first fails; "
+        "unbounded "
+        f"is {farthest_m:.0f} m.",
+        (_area(scene, found, turn, farthest_m),),
         (pictures.regions(study.pictures / "convergence.png", m, rad, maps, SAMPLE_S),),
         _differences(found, turn),
         {"intervals": {name: {"translation_m": t, "yaw_rad": y} for name, (t, y) in found.items()},
          "searched_up_to_m": farthest_m},
     )
+
+
+def _area(scene: Scene, found: Intervals, turn: dict[str, float], farthest_m: float) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for name, (by_m, by_rad) in found.items():
+        slowest_m = max(scene.frames_needed(name, offset_translation(v)) for v in by_m)
+        slowest_rad = max(scene.frames_needed(name, offset_yaw(v)) for v in by_rad)
+        rows.append((name, _text(by_m, farthest_m, "m"), _text(by_rad, TURN_RAD, "rad"), f"{100.0 * turn[name]:.0f} %",
+                     round(slowest_m * SAMPLE_S, 1), round(slowest_rad * SAMPLE_S, 1)))
+    rows += [("thesis, GLSDC", "-44.7 to 65.4 m", "-1.74 to 3.06 rad", "", 0.4, ""),
+             ("thesis, LHM", "unbounded", "the whole turn", "", "", "")]
+    columns = ("", "offset on x, y and z", "offset on psi", "of the whole turn", "settled after, s, at the edges in m",
+               "and in rad")
+    return Table("Convergence area (Tab. 7.6)", columns, tuple(rows), (len(rows) - 2, len(rows) - 1))
 
 
 def _text(values: tuple[float, float], farthest: float, unit: str) -> str:
@@ -170,9 +172,7 @@ def _text(values: tuple[float, float], farthest: float, unit: str) -> str:
     return f"{low:.1f} to {high:.1f} {unit}" if unit == "m" else f"{low:.2f} to {high:.2f} {unit}"
 
 
-def _differences(
-    found: dict[str, tuple[tuple[float, float], tuple[float, float]]], turn: dict[str, float]
-) -> tuple[str, ...]:
+def _differences(found: Intervals, turn: dict[str, float]) -> tuple[str, ...]:
     (low, high), (left, right) = found["GLSDC"]
     return (
         f"GLSDC's interval is {low:.1f} to {high:.1f} m (thesis -44.7 to 65.4) and {left:.2f} to {right:.2f} rad "

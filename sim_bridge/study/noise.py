@@ -114,8 +114,9 @@ def before_labeling(study: Study) -> Section:
             f"With {FOCAL_M * 1e3:.0f} mm the mutual nearest neighbour makes {few} wrong labels, so the results are "
             "those of 7.5.1, as the thesis finds too: our lights are at least 16 px apart and the prediction comes "
             f"from a fused pose good to 0.1 m. With {HARD_FOCAL_M * 1e3:.0f} mm there are {many_wrong}.",
-            f"The robust labeling makes {_labels_of(mild, 'chain') + _labels_of(hard, 'chain')} wrong ones and pays "
-            "with frames that it refuses.",
+            f"The robust labeling passes on {_labels_of(mild, 'chain') + _labels_of(hard, 'chain')} wrong ones and "
+            "pays with frames that it refuses: told of so much noise, too few labels agree by more than chance, or "
+            "the position would be known worse than 1 m.",
         ),
     )
 
@@ -196,5 +197,5 @@ def _differences(mild: Outcomes, whole: Outcomes, hard: dict[float, Outcomes], w
         f"{share(most['chain'], 'held'):.0f} % of them: positions known worse than 1 m are not passed on.",
         f"With all nine markers seen all the time GLSDC diverged in {diverged(whole['GLSDC'])} of {w} runs "
         f"({FOCAL_M * 1e3:.0f} mm) and {diverged(whole_hard['GLSDC'])} of {h} ({HARD_FOCAL_M * 1e3:.0f} mm); in the "
-        "thesis's one run it did not.",
+        "thesis' one run it did not.",
     )

@@ -26,7 +26,7 @@ th { white-space: normal; vertical-align: bottom; }
 thead th { border-bottom: 2px solid #999; }
 tr.thesis td { background: #f4efe2; font-style: italic; }
 figure { margin: 1.2rem 0; } img { max-width: 100%; } figcaption { color: #555; font-size: 13px; }
-.method { color: #333; } .differs { border-left: 3px solid #c9a227; padding-left: .9rem; }
+.method { color: #333; } .differs { border-left: 3px solid #c9a227; padding-left: .9rem; list-style: none; }
 .differs li { margin: .3rem 0; } nav a { margin-right: 1rem; } @media (prefers-color-scheme: dark) {
 body { background: #17181a; color: #ddd; } .method { color: #bbb; } tr.thesis td { background: #2d2a20; }
 th, td { border-color: #333; } h2 { border-color: #333; } img { background: #fff; } a { color: #7db4e8; } }
