@@ -141,6 +141,7 @@ def labeling_rules(c: LabelingConfig) -> Rules:
         (c.max_distance_px > 0, "vision.labeling.max_distance_px must be positive pixels"),
         (min(c.prior_sigma_m, c.prior_sigma_rad, c.tracked_sigma_m) > 0,
          "vision.labeling: prior_sigma_m, prior_sigma_rad, tracked_sigma_m must be positive metres and radians"),
+        (c.sure_agree >= 0, "vision.labeling.sure_agree must not be negative"),
         (c.min_agree_tracked >= 2, "vision.labeling.min_agree_tracked must be at least 2"),
         (c.gross_sigma_m > 0 and c.map_sigma_m >= 0,
          "vision.labeling: gross_sigma_m must be positive and map_sigma_m not negative, in metres"),

@@ -148,7 +148,8 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     likelier than a false detection in its place; ``min_rival_odds``: log of how much likelier than any other detection.
     ``min_agree`` labels at least; ``min_score``: log of how much likelier than chance they are; ``min_margin``: log of
     how much likelier than any that contradict them. ``max_range_m``: no marker is looked for farther away.
-    ``min_agree_blind``: labels at least when neither position nor attitude is known.
+    ``min_agree_blind``: labels at least when neither position nor attitude is known. ``sure_agree``: so many labels at
+    the prior need no search for others, zero for never; for detectors that give many candidates near the prior only.
     """
 
     method: Literal["mutual_nearest", "robust"] = "robust"
@@ -170,6 +171,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     min_margin: float = 8.0
     max_range_m: float = 150.0
     min_agree_blind: int = 6
+    sure_agree: int = 0
 
 
 class VisionConfig(Struct, frozen=True, kw_only=True):

@@ -179,7 +179,8 @@ def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], li
 
     It is not when every marker has a label that fits: no shift brings all of a set of points onto itself. Nor when
     every detection is one and the gates left no choice: what contradicts these labels is then no larger a set, and
-    needs a prior that is grossly wrong.
+    needs a prior that is grossly wrong. Or, where the configuration says so, when ``sure_agree`` labels are sure: what
+    is looked for is then so many points near the prior that another set of as many would have to be a second tanker.
     """
     n, m = len(scene.points), len(scene.rays)
     labels = np.empty(n, dtype=np.int64)
@@ -194,8 +195,10 @@ def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], li
                    limits, -1, labels, sure, d, R, t, P)
     fits = int(np.count_nonzero(labels >= 0))
     whole = fits == n or (fits == m and plain)
-    enough = np.count_nonzero(sure >= 0) > config.min_agree and score > config.min_score
-    return Candidate(labels, score, sure, SE3(R, t), P, d), bool(whole and enough)
+    agreed = int(np.count_nonzero(sure >= 0))
+    enough = agreed > config.min_agree and score > config.min_score
+    many = 0 < config.sure_agree <= agreed
+    return Candidate(labels, score, sure, SE3(R, t), P, d), (whole or many) and enough
 
 
 def assign(squared: Mat, log_det: Vec, gain: Vec) -> Ints:
