@@ -180,18 +180,19 @@ def _metres(value: float) -> str:
 
 def _differences(mild: Outcomes, whole: Outcomes, hard: dict[float, Outcomes], whole_hard: Outcomes) -> tuple[str, ...]:
     n, w, h = len(mild["LHM"]), len(whole["LHM"]), len(whole_hard["LHM"])
-    first = {name: [p for p, found in hard.items() if diverged(found[name])] for name in ("GLSDC", "LHM")}
-    onset = f"from {power_text(first['GLSDC'][0])} on" if first["GLSDC"] else "at no power"
+    went = [p for p, found in hard.items() if diverged(found["GLSDC"])]
+    onset = f"GLSDC diverges from {power_text(went[0])} on and does not come back" if went else "GLSDC holds on"
     most = hard[MOST]
     return (
-        f"With {FOCAL_M * 1e3:.0f} mm nothing of what the thesis tells happens: at 5e-9 GLSDC diverged in "
-        f"{diverged(mild['GLSDC'])} of {n} runs, LHM in {diverged(mild['LHM'])}, the chain in "
-        f"{diverged(mild['chain'])}. Its "
-        "noise must have been larger in pixels, or its markers worse placed; it gives neither focal length nor map.",
-        f"With {HARD_FOCAL_M * 1e3:.0f} mm it does: GLSDC diverges {onset} and does not come back (at 5e-9 in "
-        f"{diverged(most['GLSDC'])} of {h} runs; the thesis' one run at 5e-9 did), LHM is off by more than "
-        f"{WRONG_M:.0f} m in {share(most['LHM'], 'wrong'):.0f} % of the frames and diverges in {diverged(most['LHM'])} "
-        f"of {h}.",
+        f"With {FOCAL_M * 1e3:.0f} mm and 5e-9 GLSDC diverged in {diverged(mild['GLSDC'])} of {n} runs, LHM in "
+        f"{diverged(mild['LHM'])}, the chain in {diverged(mild['chain'])}. The thesis saw GLSDC diverge: its noise "
+        "must "
+        "have been larger in pixels or its markers worse placed; it gives neither focal length nor map.",
+        f"With {HARD_FOCAL_M * 1e3:.0f} mm {onset} (at 5e-9 in {diverged(most['GLSDC'])} of {h} runs; the thesis' one "
+        "run "
+        f"did), LHM is off by more than {WRONG_M:.0f} m in {share(most['LHM'], 'wrong'):.0f} % of the frames and "
+        "diverges in "
+        f"{diverged(most['LHM'])} of {h}: what the thesis tells of both.",
         f"The chain diverged in {diverged(most['chain'])} of {h} runs there and was off by more than {WRONG_M:.0f} m "
         f"in {share(most['chain'], 'wrong'):.1f} % of the frames, because it refuses "
         f"{share(most['chain'], 'held'):.0f} % of them: positions known worse than 1 m are not passed on.",
