@@ -139,8 +139,8 @@ def labeling_rules(c: LabelingConfig) -> Rules:
     shares = (c.gross_probability, c.detection_probability)
     return [
         (c.max_distance_px > 0, "vision.labeling.max_distance_px must be positive pixels"),
-        (min(c.prior_sigma_m, c.prior_sigma_rad, c.tracked_sigma_m) > 0,
-         "vision.labeling: prior_sigma_m, prior_sigma_rad, tracked_sigma_m must be positive metres and radians"),
+        (min(c.prior_sigma_m, c.prior_sigma_rad, c.tracked_sigma_m, c.tracked_sigma_rad) > 0,
+         "vision.labeling: prior_sigma_m and _rad, tracked_sigma_m and _rad must be positive metres and radians"),
         (c.sure_agree >= 0, "vision.labeling.sure_agree must not be negative"),
         (c.min_agree_tracked >= 2, "vision.labeling.min_agree_tracked must be at least 2"),
         (c.gross_sigma_m > 0 and c.map_sigma_m >= 0,

@@ -139,7 +139,8 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     ``max_distance_px`` bounds a pair of mutual nearest neighbours. The rest is for ``robust``:
 
     ``prior_sigma_m`` and ``prior_sigma_rad``: standard deviation per axis of the prior's translation and rotation;
-    ``tracked_sigma_m`` and ``min_agree_tracked`` labels at least while the prior rests on a vision just passed.
+    ``tracked_sigma_m``, ``tracked_sigma_rad`` and ``min_agree_tracked`` labels at least while the prior rests on a
+    vision just passed: where attitude and camera's place are worse than that, few lights are not enough.
     ``gross_probability``: how often the prior's translation is not that good; it is then within ``gross_sigma_m``.
     ``map_sigma_m``: how well the markers' places on the tanker are known, per axis.
     ``detection_probability``: that of a marker being detected; ``false_density``: false detections to reckon with per
@@ -157,6 +158,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     prior_sigma_m: float = 1.0
     prior_sigma_rad: float = 0.02
     tracked_sigma_m: float = 0.3
+    tracked_sigma_rad: float = 0.005
     min_agree_tracked: int = 2
     gross_probability: float = 0.01
     gross_sigma_m: float = 3.0

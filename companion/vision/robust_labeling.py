@@ -23,6 +23,7 @@ reason            meaning
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -126,7 +127,7 @@ def label_robust(
     if sure:
         return conclude(scene, [first], prior_T_cam_tanker, cov_prior, priors, config, config.min_agree,
                     searched=False)
-    sigma_rad = float(np.sqrt(np.trace(cov_prior[3:, 3:]) / 3.0))
+    sigma_rad = math.sqrt(max(float(np.trace(cov_prior[3:, 3:])), 0.0) / 3.0)
     reach_m = config.gate_sigma * config.gross_sigma_m
     found = by_consensus(scene, prior_T_cam_tanker, priors, limits, config, (reach_m, sigma_rad, config.max_range_m))
     found = challenged(scene, [first, *found], prior_T_cam_tanker, priors, limits, config)
@@ -170,7 +171,8 @@ def priors_of(prior: SE3, cov_prior: Mat, config: LabelingConfig) -> tuple[Mat, 
         raise ValueError(msg)
     information, log_density = np.empty((2, 6, 6)), np.empty(2)
     known = two_priors(cov, config.gross_sigma_m, config.gross_probability, information, log_density)
-    return (information, log_density) if known and np.isfinite(prior.R.sum() + prior.t.sum()) else None
+    finite = np.isfinite(prior.R).all() and np.isfinite(prior.t).all()
+    return (information, log_density) if known and finite else None
 
 
 def at_the_prior(scene: Scene, prior: SE3, cov: Mat, priors: tuple[Mat, Vec], limits: Vec,
@@ -205,7 +207,10 @@ def assign(squared: Mat, log_det: Vec, gain: Vec) -> Ints:
     """Return the labels of least total cost, where a marker may go without (a null column each)."""
     n, m = squared.shape
     cost = np.zeros((n, m + n))
-    cost[:, :m] = np.where(np.isfinite(squared), 0.5 * (squared + log_det[:, None]) + LOG_2PI - gain[None], GATED_OUT)
+    # A prior that leaves no uncertainty has a determinant of zero, a marker that cannot be has none.
+    spread = np.nan_to_num(log_det, nan=GATED_OUT, posinf=GATED_OUT, neginf=-GATED_OUT)
+    pair = 0.5 * (np.where(np.isfinite(squared), squared, GATED_OUT) + spread[:, None]) + LOG_2PI - gain[None]
+    cost[:, :m] = np.where(np.isfinite(squared), np.clip(pair, -GATED_OUT, GATED_OUT), GATED_OUT)
     columns = linear_sum_assignment(cost)[1]
     return np.where(columns < m, columns, -1)
 
