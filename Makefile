@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 SCENARIO ?= docking
 SEED ?= 1
 ARGS ?=
+KERNELS := $(shell grep -rlE "njit|@kernel" companion sim_bridge --include=*.py)
 
 .PHONY: help setup sitl fly view study test test-slow check bench figures clean
 
@@ -16,7 +17,7 @@ help:
 	@echo "make test     the tests        make check    style, types, imports"
 	@echo "make bench    speed and accuracy figures"
 	@echo "make figures  the pictures of the README"
-	@echo "SCENARIO=docking|thesis|FILE SEED=1 ARGS='--pose glsdc'"
+	@echo "SCENARIO=docking|thesis|clutter|corners|FILE SEED=1 ARGS='--pose glsdc'"
 
 # A half-made environment is made again: the stamp is the last thing to be written.
 $(VENV)/.python:
@@ -33,6 +34,13 @@ $(VENV)/.run: $(VENV)/.python pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	@touch $@
 
+# numba keeps compiled kernels beside the source and does not see that another file's kernel, compiled in, has changed.
+$(VENV)/.kernels: $(VENV)/.run $(KERNELS)
+	@echo "compiling kernels (once, about a minute) ..."
+	@find companion sim_bridge -name '*.nb[ci]' -delete
+	@$(BIN)/companion warm-up firmware_configs/sitl/docking.toml
+	@touch $@
+
 $(VENV)/.dev: $(VENV)/.run
 	@echo "installing packages for tests (once) ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
@@ -40,22 +48,22 @@ $(VENV)/.dev: $(VENV)/.run
 
 setup: $(VENV)/.dev
 
-sitl: $(VENV)/.run
+sitl: $(VENV)/.kernels
 	@$(BIN)/sim-bridge sitl $(SCENARIO) --seed $(SEED) $(ARGS)
 
-fly: $(VENV)/.run
+fly: $(VENV)/.kernels
 	@$(BIN)/sim-bridge fly $(SCENARIO) --seed $(SEED) $(ARGS)
 
 view: $(VENV)/.run
 	@$(BIN)/companion view $(ARGS)
 
-study: $(VENV)/.run
+study: $(VENV)/.kernels
 	@$(BIN)/sim-bridge study --seed $(SEED) $(ARGS)
 
-test: $(VENV)/.dev
+test: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/python -m pytest -q $(ARGS)
 
-test-slow: $(VENV)/.dev
+test-slow: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/python -m pytest -q -m slow $(ARGS)
 
 check: $(VENV)/.dev
@@ -63,10 +71,10 @@ check: $(VENV)/.dev
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/python -m pytest -q -m bench -s $(ARGS)
 
-figures: $(VENV)/.dev
+figures: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/python -m sim_bridge.figures --out docs
 
 clean:

@@ -53,6 +53,11 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--stop-after-breakaway", type=seconds, metavar="S", help="end so many seconds after a breakaway")
     run.set_defaults(action=_run)
 
+    warm = commands.add_parser("warm-up", help="compile what a configuration needs, once after installation")
+    warm.add_argument("config", metavar="CONFIG.toml", help="e.g. firmware_configs/sitl/docking.toml")
+    vision_options(warm)
+    warm.set_defaults(action=_warm_up)
+
     command = commands.add_parser("command", help="tell a running companion what the operator wants")
     command.add_argument("name", choices=[c.value for c in Command], metavar="NAME",
                          help=", ".join(c.value for c in Command))
@@ -94,6 +99,14 @@ def _run(a: argparse.Namespace) -> int:
         stop_after_hold_s=a.stop_after_hold, stop_after_breakaway_s=a.stop_after_breakaway,
     )
     return app.run(setup, options)
+
+
+def _warm_up(a: argparse.Namespace) -> int:
+    path = Path(a.config)
+    config = load(path, CompanionConfig)
+    config = msgspec.structs.replace(config, vision=with_vision_options(config.vision, a))
+    app.warm_up(assemble(config, path))
+    return 0
 
 
 def _with_options(config: CompanionConfig, a: argparse.Namespace) -> CompanionConfig:

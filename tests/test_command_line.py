@@ -230,3 +230,9 @@ def test_a_flight_that_does_not_dock_in_time_ends_with_3(tmp_path):
     out, err = process.communicate(timeout=120)
     assert process.returncode == 3, (out + err).decode()
     assert b"not docked" in out
+
+
+def test_warm_up_by_command():
+    call = [sys.executable, "-m", "companion", "warm-up", str(FIRMWARE_CONFIGS / "sitl" / "thesis.toml")]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -43,6 +43,13 @@ def test_flights(tmp_path, scenario, pose):
     assert all(f["br_rms_3d_m"] < 0.369 for f in flights)
 
 
+@pytest.mark.parametrize("scenario", ["clutter", "corners"])
+def test_flights_that_see_badly(tmp_path, scenario):
+    flights = [fly(tmp_path / str(s), "fly", scenario, "--seed", str(s)) for s in SEEDS]
+    print("\n" + row(scenario, flights))
+    assert all(f["docked"] for f in flights)
+
+
 def test_latency_on_the_wall_clock(tmp_path):
     f = fly(tmp_path, "sitl", "docking", "--seed", "1")
     print(f"\nsitl: docked {f['docked']}, deadline slips {f['deadline_slips']}, late simulator steps {f['late_steps']}")
