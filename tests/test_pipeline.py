@@ -240,3 +240,13 @@ def test_an_operator_is_obeyed_in_the_next_step():
 def test_a_reject_of_an_adapter_is_passed_on():
     reject = Reject(5, "datalink", "checksum", "1 in 55 bytes")
     assert run([reject]) == [reject]
+
+
+def test_what_is_no_picture_is_rejected_time_and_again():
+    pipeline = Pipeline(shipped())
+    run(flight(0.3), pipeline)
+    run(motion(300 * MS), pipeline)
+    outputs = []
+    for k, image in enumerate((None, None, [1, 2], "picture", np.zeros(3), np.zeros((4, 4)))):
+        outputs += pipeline.handle(CameraFrame((300 + k) * MS, 100 + k, image))
+    assert rejects(outputs) == {("vision", "frame_size"): 6}

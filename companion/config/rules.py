@@ -52,6 +52,7 @@ def camera_rules(c: CameraConfig) -> Rules:
         (c.fx_px > 0 and c.fy_px > 0, "fx_px and fy_px must be positive"),
         (0 < c.rate_hz <= 1000, "rate_hz must be in 0..1000 hertz"),
         (c.latency_s >= 0 and c.exposure_s >= 0, "latency_s and exposure_s must not be negative"),
+        (all(abs(k) <= 1e3 for k in c.distortion), "distortion must be coefficients within 1000"),
         (len(c.distortion) == int(wanted[0]),
          f"distortion of {c.distortion_model} must be {wanted}, not {len(c.distortion)}"),
         (turns <= math.pi, "mount_yaw_rad, mount_pitch_rad, mount_roll_rad must be within pi (radians, not degrees)"),

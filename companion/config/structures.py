@@ -122,6 +122,7 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     haze keep theirs. ``apart_px``: least distance of two candidates. ``radius_px``: how far about one its edges are
     measured. ``max_detections``: the strongest of all windows; the search of the labeling takes longer for more.
     ``sigma_floor_px``: what the airframe's roundness and shading add to the noise, per axis.
+    ``min_agree`` labels at least: shapes repeat on an airframe, and five of them agree on a wrong place now and then.
     """
 
     gate_px: float = 24.0
@@ -131,6 +132,7 @@ class CornerConfig(Struct, frozen=True, kw_only=True):
     max_per_window: int = 6
     max_detections: int = 40
     sigma_floor_px: float = 0.4
+    min_agree: int = 6
 
 
 class LabelingConfig(Struct, frozen=True, kw_only=True):
@@ -142,7 +144,7 @@ class LabelingConfig(Struct, frozen=True, kw_only=True):
     ``tracked_sigma_m``, ``tracked_sigma_rad`` and ``min_agree_tracked`` labels at least while the prior rests on a
     vision just passed: where attitude and camera's place are worse than that, few lights are not enough.
     ``gross_probability``: how often the prior's translation is not that good; it is then within ``gross_sigma_m``.
-    ``map_sigma_m``: how well the markers' places on the tanker are known, per axis.
+    ``map_sigma_m``: how well the markers' places on the tanker are known, per axis (beside ``vision.sigma_px``).
     ``detection_probability``: that of a marker being detected; ``false_density``: false detections to reckon with per
     unit of area on the plane z = 1, where a picture 70 degrees wide has 1.5.
     ``gate_sigma``: a label fits within so many sigmas of where the others put it; ``min_label_odds``: log of how much

@@ -21,55 +21,23 @@ reason                    meaning
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config import CameraConfig, LabelingConfig, TankerConfig, VisionConfig, landmarks
+from companion.config import CameraConfig, TankerConfig, VisionConfig, landmarks
 from companion.geometry import SE3, Mat, Vec
 from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.corners import detect_corners
 from companion.vision.detection import Blobs, detect_markers
 from companion.vision.expected_size import apparent_radius_px, compare_with_expected
-from companion.vision.labeling import label_mutual_nearest
+from companion.vision.labeler import Labeler
 from companion.vision.pose import PoseEstimator, Refusal
-from companion.vision.reacquisition import reacquire
-from companion.vision.robust_labeling import Labels, label_robust
 
 Ints = NDArray[np.int64]
 
 FARTHEST_M = 1e6
 """A prior farther away than this is no prior: its square still has digits to spare."""
-
-TRACKED_GROSS = 1e-4
-"""How often a prior that rests on a vision just passed is grossly wrong."""
-
-TRACKED_SCORE = 15.0
-"""Log of how much likelier than chance a set of labels is at least then, because two or three can be enough. (Of 4000
-frames with up to eight lights out and false ones near them, 98 in 100 with three lights are labelled then, and 24 of
-18,218 labels went to false lights; with 20 it was 72 in 100 and 20 labels, with 12 98 in 100 and 30.)"""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Labelled:
-    """``labels`` (n,) index into the detections, -1 without one, and about where the tanker is."""
-
-    labels: Ints
-    T_cam_tanker: SE3 | None
-
-
-def labeling_stages(config: LabelingConfig) -> tuple[tuple[LabelingConfig, Mat], tuple[LabelingConfig, Mat]]:
-    """Return limits and covariance of the prior: with GPS alone behind it, and with a vision just passed."""
-    tracked = msgspec.structs.replace(
-        config, min_agree=min(config.min_agree, config.min_agree_tracked), gross_probability=TRACKED_GROSS,
-        min_score=max(config.min_score, TRACKED_SCORE),
-    )
-    far = np.diag([config.prior_sigma_m**2] * 3 + [config.prior_sigma_rad**2] * 3)
-    near = np.diag([config.tracked_sigma_m**2] * 3 + [config.tracked_sigma_rad**2] * 3)
-    return (config, far), (tracked, near)
 
 
 def detections_of(t_ns: int, blobs: Blobs) -> Detections:
@@ -88,7 +56,7 @@ class VisionChain:
         self.markers: Mat = np.array([m.p_tanker_m for m in landmarks(tanker, config)], dtype=np.float64).reshape(-1, 3)
         self._pose = PoseEstimator(camera, config, len(self.markers))
         self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
-        self._stages = labeling_stages(config.labeling)
+        self._labeler = Labeler(self.markers, config)
 
     def process(self, frame: CameraFrame, prior_T_cam_tanker: SE3 | None, *, tracked: bool = False) -> VisionOutput:
         """Return what ``frame`` shows, given about where the tanker is: T_cam_tanker from fusion (thesis 3.2).
@@ -123,7 +91,10 @@ class VisionChain:
         """
         predicted = self._predicted(prior)
         uv = pixels_to_normalised(self.camera, detections.uv_px)
-        found = self._label(predicted, uv, detections, prior, tracked=tracked)
+        sigma = self._sigma(detections)
+        found = self._labeler.label(
+            predicted, detections.uv_px, uv, sigma, detections.area_px, prior, tracked=tracked
+        )
         if isinstance(found, tuple):
             return self._output(sequence, detections, predicted, found)
         if blobs is not None and found.T_cam_tanker is not None:
@@ -167,35 +138,6 @@ class VisionChain:
         if prior is None:
             return np.full((len(self.markers), 2), np.nan)
         return project(self.camera, prior, self.markers)
-
-    def _label(
-        self, predicted: Mat, uv: Mat, detections: Detections, prior: SE3 | None, *, tracked: bool
-    ) -> Labelled | Refusal:
-        """Return which detection each marker is, by the thesis' rule or by the robust one; or why nothing is sure."""
-        config = self.config.labeling
-        if config.method == "mutual_nearest":
-            labels = label_mutual_nearest(predicted, detections.uv_px, config.max_distance_px)
-            return Labelled(labels, prior)
-        found = self._searched(uv, self._sigma(detections), prior, tracked=tracked)
-        if found.reason == "no_detections":
-            return "few_markers", f"0 of {self.config.min_markers}"
-        if not found.verified:
-            return "labels", found.reason
-        return Labelled(found.labels, found.T_cam_tanker)
-
-    def _searched(self, uv: Mat, sigma: Vec, prior: SE3 | None, *, tracked: bool) -> Labels:
-        """Label about the prior; where that fails, anywhere with the prior's attitude; with no prior, anywhere."""
-        config = self.config.labeling
-        if prior is None:
-            return reacquire(self.markers, uv, sigma, config)
-        for here, cov_prior in self._stages[::-1] if tracked else self._stages[:1]:
-            found = label_robust(self.markers, uv, sigma, prior, cov_prior, here)
-            if found.verified:
-                return found
-        if len(uv) < config.min_agree:
-            return found
-        again = reacquire(self.markers, uv, sigma, config, prior.R)
-        return again if again.verified else found
 
     def _solved(self, sequence: int, detections: Detections, predicted: Mat, labels: Ints, uv: Mat, sigma: Vec,
                 prior: SE3 | None) -> VisionOutput:

@@ -12,7 +12,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 U8 = NDArray[np.uint8]
-I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 
 ROW, FIRST, LAST, OWNER = range(4)

@@ -109,10 +109,10 @@ def mutual(squared: Mat, labels: Ints) -> None:
 @njit(cache=True, nogil=True, error_model="numpy")
 def first_labels(points: Mat, rays: Mat, variance: Vec, map_sigma: float, R0: Mat, t0: Vec, P: Mat, gate: float,
                  labels: Ints) -> tuple[bool, Mat, Vec]:
-    """Label by the prior alone: (whether no marker and no detection had a choice, costs (n, m), spread (n,)).
+    """Label by the prior alone: (whether no marker and no detection had a choice, squared (n, m), log det (n,)).
 
-    Costs are squared distances within the gate plus the log determinant of the innovation, as an assignment needs
-    them; infinite outside.
+    Squared Mahalanobis distances within the gate, infinite outside, and the log determinant of what the prior leaves
+    open of each marker's place (without the detection's own noise, which is small beside it).
     """
     n, m = points.shape[0], rays.shape[0]
     uv, J, cost = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, m))

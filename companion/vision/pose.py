@@ -3,7 +3,7 @@
 Rules
 -----
 * ``min_markers`` and more: the thesis' solver (LHM or GLSDC) from the prior, then maximum likelihood where the
-  configuration asks for it. Fewer, or a geometry that does not fix a pose: the attitude of the INS, which the prior
+  configuration asks for it. Fewer, or a geometry that fixes the place badly: the attitude of the INS, which the prior
   has, and the translation from the picture.
 * What cannot be solved from the prior is solved once more from no start at all, by LHM. Where two minima fit about
   equally well the prior decides; without a prior both are told.
@@ -28,7 +28,7 @@ CLOSE = 2.0
 """Minima of the object-space error that differ by less than this factor are told apart by the prior only."""
 
 NEEDS_HELP = ("few_markers", "weak_geometry")
-"""What the attitude of the INS may mend."""
+"""What the attitude of the INS may mend. Five markers on one line are a wrong map, not a lack of light: no pose."""
 
 Refusal = tuple[str, str]
 """Reason and detail of a reject."""
@@ -79,14 +79,16 @@ class PoseEstimator:
         c = self._config
         helped = verified and c.refine and c.ins_attitude != "never" and len(points) >= c.min_markers_ins
         found: MeasuredPose | Refusal = "few_markers", f"{len(points)} of {c.min_markers}"
-        try:
-            if len(points) >= c.min_markers:
+        if len(points) >= c.min_markers:
+            try:
                 found = self._free(points, uv, sigma, prior)
-            weak = isinstance(found, tuple) and found[0] in NEEDS_HELP
-            if weak and helped and prior is not None:
+            except ValueError as error:  # what the solvers say of markers that do not fix a pose
+                found = "degenerate", str(error)
+        if isinstance(found, tuple) and found[0] in NEEDS_HELP and helped and prior is not None:
+            try:
                 found = self._judged(solve_translation(points, uv, prior.R, sigma, self._cov_ins), points, uv)
-        except ValueError as error:  # what the solvers say of markers that do not fix a pose
-            return "degenerate", str(error)
+            except ValueError as error:
+                return "degenerate", str(error)
         return found
 
     def _free(self, points: Mat, uv: Mat, sigma: Vec, prior: SE3 | None) -> MeasuredPose | Refusal:

@@ -9,10 +9,11 @@ import numpy as np
 
 from companion.config import CameraConfig, TankerConfig, VisionConfig
 from companion.geometry import SE3, Mat, R_cam_crf
-from companion.messages import CameraFrame, Detections
+from companion.messages import CameraFrame, Detections, VisionMode
 from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.chain import VisionChain
 from companion.vision.pose import cold
+from companion.vision.robust_labeling import pose_of, priors_of, scene_of
 
 AHEAD = SE3(R_cam_crf, np.array([0.0, 0.0, 60.0]))
 """A tanker straight ahead, level with the camera."""
@@ -28,6 +29,7 @@ def rehearse(camera: CameraConfig, tanker: TankerConfig, config: VisionConfig) -
     Raises ValueError for a configuration that the chain cannot be built of.
     """
     chain = VisionChain(camera, tanker, config)
+    chain.mode = VisionMode.REAL  # simulated vision may be switched off in flight
     uv_px = project(camera, AHEAD, chain.markers)
     size = np.array([camera.width_px, camera.height_px])
     inside = np.flatnonzero(((uv_px >= 0.0) & (uv_px < size - 2.0)).all(axis=1))
@@ -39,6 +41,18 @@ def rehearse(camera: CameraConfig, tanker: TankerConfig, config: VisionConfig) -
         chain.measure(0, detections_at(seen), prior, tracked=len(seen) == 3)
     if len(inside) >= 4:
         cold(chain.markers[inside], pixels_to_normalised(camera, uv_px[inside]), AHEAD)
+    fit_labels(chain, camera, uv_px, inside)
+
+
+def fit_labels(chain: VisionChain, camera: CameraConfig, uv_px: Mat, inside: np.ndarray) -> None:
+    """Fit a pose to labels of which some were left out, which only a contested frame asks for."""
+    uv, config = pixels_to_normalised(camera, uv_px[inside]), chain.config.labeling
+    scene = scene_of(chain.markers, uv, np.full(len(uv), 1e-3), config, None)
+    priors = priors_of(AHEAD, np.eye(6), config)
+    labels = np.full(len(chain.markers), -1, dtype=np.int64)
+    labels[inside] = np.arange(len(inside))
+    if priors is not None:
+        pose_of(scene, labels, AHEAD, priors, np.zeros(6), config)
 
 
 def picture_of(camera: CameraConfig, uv_px: Mat) -> np.ndarray:
