@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from companion.geometry import Mat, Vec
-from companion.vision.pose_fit import LOG_2PI, Ints, fit, foretold, invert, project, spread
+from companion.vision.pose_fit import LOG_2PI, Ints, fit, foretold, inverse_of, project, spread
 
 SMALLEST = 1e-12
 """Added to the variances of a prior, in m^2 and rad^2, so that one known exactly has an information matrix."""
@@ -59,7 +59,7 @@ def two_priors(cov: Mat, gross_sigma: float, gross_probability: float, prior: ND
             for b in range(6):
                 both[a, b] = cov[a, b] if k == 0 or (a >= 3 and b >= 3) else 0.0
             both[a, a] += SMALLEST + (gross_sigma**2 if k == 1 and a < 3 else 0.0)
-        log_det = invert(both, prior[k])
+        log_det = inverse_of(both, prior[k])
         log_prior[k] = np.log(gross_probability if k == 1 else 1.0 - gross_probability)
         log_prior[k] -= 0.5 * (6.0 * LOG_2PI + log_det)
     return np.isfinite(log_prior[0] + log_prior[1])

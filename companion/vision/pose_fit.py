@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from companion.geometry import Mat, Vec
+from companion.vision.small_systems import factor, invert, move
 
 Ints = NDArray[np.int64]
 
@@ -52,61 +53,15 @@ def project(points: Mat, R: Mat, t: Vec, uv: Mat, J: NDArray[np.float64]) -> Non
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def place(d: Vec, R0: Mat, t0: Vec, R: Mat, t: Vec) -> None:
-    """Write R = exp(d[3:]) R0 (Rodrigues) and t = t0 + d[:3]."""
-    a, b, c = d[3], d[4], d[5]
-    squared = a * a + b * b + c * c
-    angle = np.sqrt(squared)
-    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
-    if angle > 1e-4:
-        sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / squared
-    for k in range(3):
-        t[k] = t0[k] + d[k]
-        x, y, z = R0[0, k], R0[1, k], R0[2, k]
-        along = cosine * (a * x + b * y + c * z)
-        R[0, k] = x + sine * (b * z - c * y) + a * along - cosine * squared * x
-        R[1, k] = y + sine * (c * x - a * z) + b * along - cosine * squared * y
-        R[2, k] = z + sine * (a * y - b * x) + c * along - cosine * squared * z
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def factorise(A: Mat, L: Mat) -> float:
-    """Write the Cholesky factor L of a symmetric A (k, k); return log det A, NaN when it is not positive definite."""
-    log_det = 0.0
-    for j in range(A.shape[0]):
-        for i in range(j, A.shape[0]):
-            total = A[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = total / L[j, j]
-            elif total > 0.0:
-                L[j, j] = np.sqrt(total)
-                log_det += np.log(total)
-            else:
-                return np.nan
-    return log_det
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def invert(A: Mat, inverse: Mat) -> float:
+def inverse_of(A: Mat, inverse: Mat) -> float:
     """Write the inverse of a symmetric A (k, k) and return log det A; NaN when it is not positive definite."""
-    n = A.shape[0]
-    L = np.zeros((n, n))
-    log_det = factorise(A, L)
-    for j in range(n):  # L by its inverse
-        L[j, j] = 1.0 / L[j, j]
-        for i in range(j + 1, n):
-            total = 0.0
-            for k in range(j, i):
-                total -= L[i, k] * L[k, j]
-            L[i, j] = total / L[i, i]
-    for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, n):
-                total += L[k, i] * L[k, j]
-            inverse[i, j] = inverse[j, i] = total
+    L = np.zeros(A.shape)
+    if not factor(A, 0.0, L):
+        return np.nan
+    log_det = 0.0
+    for i in range(A.shape[0]):
+        log_det += 2.0 * np.log(L[i, i])
+    invert(L, inverse)
     return log_det
 
 
@@ -120,11 +75,11 @@ def fit(points: Mat, rays: Mat, variance: Vec, map_sigma: float, labels: Ints, R
     """
     A, g, step = np.empty((6, 6)), np.empty(6), np.empty(6)
     log_det, last = np.nan, False
-    place(d, R0, t0, R, t)
+    move(R0, t0, d, R, t)
     for _ in range(STEPS + 1):
         project(points, R, t, uv, J)
         gather(rays, variance, map_sigma, labels, information, d, uv, J, A, g)
-        log_det = invert(A, P)
+        log_det = inverse_of(A, P)
         if last or not np.isfinite(log_det):
             return log_det
         for k in range(6):
@@ -132,7 +87,7 @@ def fit(points: Mat, rays: Mat, variance: Vec, map_sigma: float, labels: Ints, R
             for j in range(6):
                 step[k] += P[k, j] * g[j]
             d[k] += step[k]
-        place(d, R0, t0, R, t)
+        move(R0, t0, d, R, t)
         moved = 0.0  # squared, in sigmas
         for k in range(6):
             moved += step[k] * g[k]

@@ -13,8 +13,9 @@ from companion.vision.consensus import between, depths
 from companion.vision.label_kernel import mutual
 from companion.vision.labeling import label_mutual_nearest
 from companion.vision.p3p import quartic, vote_blind
-from companion.vision.pose_fit import fit, foretold, invert, place, project
+from companion.vision.pose_fit import fit, foretold, inverse_of, project
 from companion.vision.reacquisition import spread_triples
+from companion.vision.small_systems import move
 
 SEEDS = st.integers(0, 999)
 NOISE = 0.3 / 457
@@ -49,13 +50,13 @@ def test_inverse_and_log_determinant(seed):
     A = np.random.default_rng(seed).normal(size=(6, 9))
     A = A @ A.T
     inverse = np.empty((6, 6))
-    assert invert(A, inverse) == pytest.approx(np.linalg.slogdet(A)[1])
+    assert inverse_of(A, inverse) == pytest.approx(np.linalg.slogdet(A)[1])
     np.testing.assert_allclose(inverse @ A, np.eye(6), atol=1e-7 * np.linalg.cond(A))
 
 
 def test_what_is_not_positive_definite_has_no_determinant():
     A = np.diag([1.0, 1.0, -1.0])
-    assert np.isnan(invert(A, np.empty((3, 3))))
+    assert np.isnan(inverse_of(A, np.empty((3, 3))))
 
 
 @given(seed=SEEDS)
@@ -71,7 +72,7 @@ def test_slopes_of_the_projection_are_the_numeric_ones(markers, approach_pose, s
         for sign, out in ((-h, low), (h, high)):
             d = np.zeros(6)
             d[k] = sign
-            place(d, T.R, T.t, R, t)
+            move(T.R, T.t, d, R, t)
             np.testing.assert_allclose(R, exp_so3(d[3:]) @ T.R, atol=1e-14)
             project(markers, R, t, out, spare)
         np.testing.assert_allclose(J[:, :, k], (high - low) / (2 * h), atol=1e-7)
