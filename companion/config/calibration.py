@@ -28,7 +28,7 @@ import numpy as np
 import tomli_w
 import yaml
 
-from companion.config.errors import ConfigError
+from companion.config.errors import ConfigError, read_text
 from companion.config.rules import COEFFICIENTS
 from companion.config.structures import DistortionModel
 from companion.geometry import SE3, Mat, R_cam_crf, euler_from_rotation
@@ -133,14 +133,9 @@ class Node:
 
 def read_calibration(file: Path, camera: str | None = None) -> Calibration:
     """Read a calibration; ``camera`` says which one of a Kalibr chain. Raises ConfigError with one line."""
+    text = read_text(file)
     try:
-        root = Node(file, "", yaml.safe_load(file.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        msg = f"{file}: no such file"
-        raise ConfigError(msg) from None
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"{file}: cannot be read ({error})"
-        raise ConfigError(msg) from None
+        root = Node(file, "", yaml.safe_load(text))
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date or number that is none
         mark = getattr(error, "problem_mark", None)
         what = getattr(error, "problem", None) or type(error).__name__

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from companion.config.calibration import CALIBRATION_KEYS, SUFFIXES, with_calibration
-from companion.config.errors import ConfigError
+from companion.config.errors import ConfigError, read_text
 from companion.config.rules import (
     airframe_rules,
     camera_rules,
@@ -53,13 +53,7 @@ def load(path: Path | str, kind: type[T]) -> T:
                f'"{path.name}" stands (`companion camera {path}` prints one)')
         raise ConfigError(msg)
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        msg = f"{path}: no such file"
-        raise ConfigError(msg) from None
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"{path}: cannot be read ({error})"
-        raise ConfigError(msg) from None
+        raw = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
         msg = f"{path}: not valid TOML: {error}"
         raise ConfigError(msg) from None
