@@ -231,10 +231,10 @@ def linearity(path: Path, propagated: Propagated) -> Picture:
 def compared(path: Path, propagated: Propagated, power: float, psd: Callable[[Mat], Mat]) -> Picture:
     """Draw the outputs' spectra beside each other (Fig. 7.39, 7.40, 7.47 to 7.49)."""
     figure, grid = sheet(1, 3, (11.0, 3.2), sharex=True)
-    for name in SHOWN:
+    for name, width in zip(SHOWN, WIDTHS, strict=True):  # where two are alike the thinner one lies on the thicker
         spectrum = 10.0 * np.log10(smoothed(psd(propagated.out_m[name, power])[1:]))
         for k in range(3):
-            grid[0][k].plot(frequency(len(spectrum)), spectrum[:, k], color=COLOURS[name], lw=1.0, label=name)
+            grid[0][k].plot(frequency(len(spectrum)), spectrum[:, k], color=COLOURS[name], lw=width, label=name)
     for k, axis in enumerate("xyz"):
         grid[0][k].set_title(f"output noise, {axis}")
         grid[0][k].set_xlabel("normalised frequency (1 is 5 Hz)")
