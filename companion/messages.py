@@ -181,7 +181,7 @@ class RelativeState:
     """Where the receiver is relative to the box, at one instant; what guidance flies on.
 
     ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) the difference of the two centres'
-    inertial velocities (so that neither aircraft's rotation looks like speed).
+    inertial velocities (so that neither aircraft's rotation looks like speed); ``v_ned_tanker_m_s`` (3,) the tanker's.
     ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the oldest sample that the estimate rests on.
     """
 
@@ -189,6 +189,7 @@ class RelativeState:
     estimate_t_ns: int
     p_mrf_br_m: Vec
     v_mrf_br_m_s: Vec
+    v_ned_tanker_m_s: Vec
     R_ned_frd: Mat
     omega_frd_rad_s: Vec
     heading0_rad: float
@@ -219,7 +220,7 @@ class PhaseChange:
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
+class AttitudeSetpoint:
     """Attitude and thrust for the autopilot: roll, pitch, yaw in rad (``ned`` to body), thrust 0..1."""
 
     t_ns: int
@@ -227,6 +228,33 @@ class Setpoint:
     pitch_rad: float
     yaw_rad: float
     thrust: float
+
+
+@dataclass(frozen=True, slots=True)
+class VelocitySetpoint:
+    """Inertial velocity (3,) in ``ned`` for the autopilot's own velocity loop, and the heading to point at."""
+
+    t_ns: int
+    v_ned_m_s: tuple[float, float, float]
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetSetpoint:
+    """Where to be as seen from where the receiver is, for an autopilot that closes the position loop itself.
+
+    ``offset_ned_m`` (3,) from the receptacle to where it should be now; ``v_ned_m_s`` (3,) the inertial velocity of
+    that place; ``yaw_rad`` the nominal heading of the formation, the psi frame's.
+    """
+
+    t_ns: int
+    offset_ned_m: tuple[float, float, float]
+    v_ned_m_s: tuple[float, float, float]
+    yaw_rad: float
+
+
+Setpoint = AttitudeSetpoint | VelocitySetpoint | OffsetSetpoint
+"""What laws ``attitude``, ``velocity`` and ``surfaces`` send."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -66,7 +66,7 @@ def _scenario(p: argparse.ArgumentParser) -> None:
 def _flight(p: argparse.ArgumentParser, action: Callable[[argparse.Namespace], int]) -> None:
     _scenario(p)
     vision_options(p)
-    p.add_argument("--law", choices=("attitude",), help="docking law")
+    p.add_argument("--law", choices=("attitude", "velocity", "surfaces"), help="docking law")
     p.add_argument("--fusion", choices=("blend",), help="fusion of GPS and vision")
     p.add_argument("--out", metavar="DIR", help="folder for recordings (default: runs)")
     p.set_defaults(action=action)
@@ -102,6 +102,8 @@ def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
         given["datalink"] = f"{a.datalink},{scenario.datalink.rate_baud}"
     config = replace(config, links=replace(config.links, **given))
     config = replace(config, vision=with_vision_options(config.vision, a))
+    if getattr(a, "law", None) is not None:
+        config = replace(config, guidance=replace(config.guidance, law=a.law))
     if getattr(a, "out", None) is not None:
         config = replace(config, recorder=replace(config.recorder, out=a.out))
     return scenario, assemble(config, path)

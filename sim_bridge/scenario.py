@@ -19,6 +19,7 @@ import msgspec
 
 from companion.config import ConfigError, Setup, Struct, Vec3, load, load_setup
 from companion.messages import Command
+from sim_bridge.plant.conditions import PlantConditions, plant_rules
 from sim_bridge.scene.conditions import PictureConditions, condition_rules
 
 SCENARIOS = Path(__file__).resolve().parent / "scenarios"
@@ -58,7 +59,8 @@ class Scenario(Struct, frozen=True, kw_only=True):
     """One flight. ``start_tanker_m`` is the receiver's centre of mass in tanker axes (thesis x0, 1.2).
 
     ``companion`` is the companion TOML; ``load_scenario`` makes it a path from anywhere. ``hold_s`` is how long the
-    receiver stays in the window, ``timeout_s`` when the flight ends whatever happens. ``picture``: light and clutter.
+    receiver stays in the window, ``timeout_s`` when the flight ends whatever happens. ``picture``: light and clutter;
+    ``plant``: wind, the tanker's course, the boom, errors of the airframe's data.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     criteria: PassCriteria = PassCriteria()
     commands: tuple[TimedCommand, ...] = ()
     picture: PictureConditions = PictureConditions()
+    plant: PlantConditions = PlantConditions()
 
     def setup(self) -> Setup:
         """Load the companion configuration and what it names."""
@@ -130,6 +133,7 @@ def check(s: Scenario, path: Path) -> None:
         (all(0 <= c.at_s <= s.timeout_s for c in s.commands), "commands: at_s must be in 0..timeout_s seconds"),
         (0 < s.criteria.in_window_fraction <= 1, "criteria.in_window_fraction: must be in 0..1"),
         *condition_rules(s.picture),
+        *plant_rules(s.plant),
     ]
     for holds, text in rules:
         if not holds:

@@ -108,7 +108,7 @@ class Simulation:
         gust, own, tanker, camera = (np.random.default_rng(s) for s in seeds)
         self.world = World(
             setup.tanker, setup.airframe, np.array(scenario.start_tanker_m), scenario.turbulence, scenario.wake, gust,
-            scenario.heading_rad,
+            scenario.heading_rad, conditions=scenario.plant,
         )
         self.autopilot = StandInAutopilot(setup.airframe, own)
         self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz)

@@ -36,12 +36,17 @@ class BodyState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoomState:
-    """Boom: pivot (3,) in tanker axes, elevation below the tanker's x axis, azimuth (right positive), length."""
+    """Boom: pivot (3,) in tanker axes, elevation below the tanker's x axis, azimuth (right positive), length.
+
+    ``contact``: the nozzle sits in the receptacle; ``given_kg`` the fuel that has gone through it.
+    """
 
     pivot_tanker_m: Vec
     elevation_rad: float
     azimuth_rad: float
     length_m: float
+    contact: bool = False
+    given_kg: float = 0.0
 
     def tip_tanker_m(self) -> Vec:
         """Return the boom's tip (3,) in tanker axes; the boom points aft and down."""

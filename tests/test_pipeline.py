@@ -11,6 +11,7 @@ import pytest
 from companion.config import FIRMWARE_CONFIGS, load_setup
 from companion.geometry import SE3, rotation_from_euler
 from companion.messages import (
+    AttitudeSetpoint,
     AutopilotMode,
     AutopilotStatus,
     CameraFrame,
@@ -24,7 +25,6 @@ from companion.messages import (
     PhaseChange,
     Reject,
     RelativeState,
-    Setpoint,
     TankerState,
     Tick,
     VisionOutput,
@@ -95,7 +95,7 @@ def test_level_flight_gives_poses_states_and_setpoints():
     outputs = run(flight())
     count = Counter(kinds(outputs))
     assert count[VisionOutput] == count[FusedPose] == 10
-    assert count[RelativeState] == count[Setpoint] == count[GuidanceOutput] == 50
+    assert count[RelativeState] == count[AttitudeSetpoint] == count[GuidanceOutput] == 50
     assert not rejects(outputs)
     setup = shipped()
     br = PLACE + R_OWN @ setup.airframe.receptacle_frd_m - R_TANKER @ setup.tanker.box_tanker_m
@@ -110,7 +110,7 @@ def test_a_setpoint_comes_after_what_it_follows_from():
     for event in motion(200 * MS):
         assert pipeline.handle(event) == []
     assert kinds(pipeline.handle(picture(200 * MS, 99))) == [VisionOutput, FusedPose]
-    assert kinds(pipeline.handle(Tick(200 * MS))) == [RelativeState, GuidanceOutput, Setpoint]
+    assert kinds(pipeline.handle(Tick(200 * MS))) == [RelativeState, GuidanceOutput, AttitudeSetpoint]
 
 
 def test_stages_are_marked_as_they_end():

@@ -255,7 +255,7 @@ class LawWeights(Struct, frozen=True, kw_only=True):
 class GuidanceConfig(Struct, frozen=True, kw_only=True):
     """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot."""
 
-    law: Literal["attitude"] = "attitude"
+    law: Literal["attitude", "velocity", "surfaces"] = "attitude"
     rate_hz: float = 50.0
     weights: LawWeights = LawWeights()
     link_delay_s: float = 0.0

@@ -49,6 +49,7 @@ class RelativeEstimator:
             estimate_t_ns=self._blend.estimate_ns(anchor),
             p_mrf_br_m=R_mrf_ned @ p_ned_br,
             v_mrf_br_m_s=R_mrf_ned @ v_ned,
+            v_ned_tanker_m_s=a.tanker.v_ned_m_s,
             R_ned_frd=R_ned_frd,
             omega_frd_rad_s=omega,
             heading0_rad=heading0,

@@ -9,11 +9,12 @@ import numpy as np
 from companion.config import AirframeConfig, GuidanceConfig, WindowConfig
 from companion.geometry import Vec, euler_from_rotation
 from companion.guidance.guard import Envelope, guard
-from companion.guidance.law import DockingLaw
+from companion.guidance.laws import make_law
 from companion.guidance.modes import Limits, PhaseMachine, Situation
 from companion.guidance.path import CubicPath, Reference, station
 from companion.messages import (
     NS,
+    AttitudeSetpoint,
     AutopilotMode,
     AutopilotStatus,
     Command,
@@ -43,7 +44,7 @@ class Approach:
         self._envelope = Envelope(
             config.max_roll_rad, trim.alpha_rad, config.max_pitch_offset_rad, config.estimate_stale_s
         )
-        self._law = DockingLaw(airframe, config)
+        self._law = make_law(airframe, config)
         self._path: CubicPath | None = None
         self._station = station(np.zeros(3))
         self._engaged = config.auto_engage
@@ -152,8 +153,8 @@ class Approach:
         yaw, _, _ = euler_from_rotation(state.R_ned_frd)
         trim, c = self._airframe.trim, self._config
         if float(np.sqrt(state.p_mrf_br_m @ state.p_mrf_br_m)) > c.breakaway_separation_m:
-            return Setpoint(t_ns, 0.0, trim.alpha_rad, yaw, trim.throttle)  # clear of the tanker: level off
-        return Setpoint(t_ns, 0.0, trim.alpha_rad - c.breakaway_descent_rad, yaw, c.breakaway_thrust)
+            return AttitudeSetpoint(t_ns, 0.0, trim.alpha_rad, yaw, trim.throttle)  # clear of the tanker: level off
+        return AttitudeSetpoint(t_ns, 0.0, trim.alpha_rad - c.breakaway_descent_rad, yaw, c.breakaway_thrust)
 
     def _watch(self, t_ns: int, state: RelativeState, reference: Reference) -> None:
         """Keep since when the receiver has held its station, and since when it has been inside the desired window."""

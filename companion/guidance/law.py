@@ -30,7 +30,7 @@ from scipy.linalg import expm
 from companion.config import AirframeConfig, ConfigError, GuidanceConfig
 from companion.geometry import Mat, Vec, euler_from_rotation
 from companion.guidance.path import Reference
-from companion.messages import RelativeState, Setpoint
+from companion.messages import AttitudeSetpoint, RelativeState
 
 GRAVITY_M_S2 = 9.80665
 V, ALPHA, Q, THETA = 0, 1, 4, 7  # rows of the airframe's A and B
@@ -159,7 +159,7 @@ class DockingLaw:
         self.integral_m_s = np.zeros(3)
         self._thrust = 0.0  # the lagged thrust, from our own commands: the autopilot does not report it
 
-    def step(self, state: RelativeState, reference: Reference) -> Setpoint:
+    def step(self, state: RelativeState, reference: Reference) -> AttitudeSetpoint:
         """Return the setpoint for a relative state and where BR should be."""
         e = state.p_mrf_br_m - reference.p_m
         v = state.v_mrf_br_m_s - reference.v_m_s
@@ -178,7 +178,7 @@ class DockingLaw:
         )
         self.integral_m_s = self.integral_m_s + np.where(held, 0.0, e * self._dt)
         self._follow(float(acting[1]))
-        return Setpoint(
+        return AttitudeSetpoint(
             state.t_ns, float(roll_cmd), trim.alpha_rad + float(d_pitch), yaw, trim.throttle + float(d_thrust)
         )
 

@@ -193,9 +193,9 @@ class AutopilotLink:
         return self.replies() + b"".join(self._pack(message, now_ns) for message in messages)
 
     def encode_setpoint(self, setpoint: Setpoint, now_ns: int) -> bytes | None:
-        """Return SET_ATTITUDE_TARGET, or None when the setpoint must not leave; the next ``receive`` tells why."""
+        """Return the setpoint's message, or None when the setpoint must not leave; the next ``receive`` tells why."""
         boot_ms = 0 if self.offset_ns is None else self.to_autopilot_ns(setpoint.t_ns) // NS_PER_MS % WRAP_MS
-        message = telemetry.attitude_target(setpoint, boot_ms, self._autopilot)
+        message = telemetry.setpoint_message(setpoint, boot_ms, self._autopilot)
         if isinstance(message, Reject):
             self._refused.append(message)
             return None

@@ -32,6 +32,7 @@ from companion.io.rerun_scene import (
     draw_setup,
 )
 from companion.messages import (
+    AttitudeSetpoint,
     CameraFrame,
     Event,
     FusedPose,
@@ -41,7 +42,6 @@ from companion.messages import (
     PhaseChange,
     Reject,
     RelativeState,
-    Setpoint,
     VisionModeChange,
     VisionOutput,
 )
@@ -238,7 +238,7 @@ class _Draw:
         for k, axis in enumerate(AXES):
             self.scene.scalars(f"plots/br/{axis}/reference", [s.t_ns for s in steps], reference[:, k])
 
-    def setpoints(self, setpoints: list[Setpoint]) -> None:
+    def setpoints(self, setpoints: list[AttitudeSetpoint]) -> None:
         """Draw what the autopilot was asked for, in degrees and percent for people."""
         t_ns = [s.t_ns for s in setpoints]
         self.scene.scalars("plots/setpoint/roll_deg", t_ns, np.rad2deg([s.roll_rad for s in setpoints]))
@@ -281,7 +281,7 @@ _DRAWERS: dict[type, Callable[[_Draw, list[Any]], None]] = {
     RelativeState: _Draw.relative,
     FusedPose: _Draw.fused,
     GuidanceOutput: _Draw.guidance,
-    Setpoint: _Draw.setpoints,
+    AttitudeSetpoint: _Draw.setpoints,
     PhaseChange: _Draw.phases,
     VisionModeChange: _Draw.modes,
     Reject: _Draw.rejects,

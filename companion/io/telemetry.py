@@ -13,13 +13,16 @@ import numpy as np
 from companion.geometry import quaternion_from_rotation, rotation_from_euler, rotation_from_quaternion
 from companion.io.mavlink_codec import Message, dialect
 from companion.messages import (
+    AttitudeSetpoint,
     AutopilotMode,
     AutopilotStatus,
     Command,
+    OffsetSetpoint,
     OwnAttitude,
     OwnPosition,
     Reject,
     Setpoint,
+    VelocitySetpoint,
 )
 
 SOURCE = "mavlink"
@@ -38,6 +41,11 @@ COMMANDS = {
     dialect.MAV_CMD_USER_5: Command.SIMULATED_VISION,
 }
 """What an operator sends as COMMAND_LONG to our component; the parameters are not used."""
+
+IGNORE_POSITION = 0x007
+IGNORE_ACCELERATION = 0x1C0
+IGNORE_YAW_RATE = 0x800
+"""Of POSITION_TARGET_TYPEMASK, three axes each where there are three."""
 
 IGNORE_BODY_RATES = (
     dialect.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
@@ -87,7 +95,32 @@ def follows(message: Message) -> bool:
     return bool(message.base_mode & dialect.MAV_MODE_FLAG_GUIDED_ENABLED)
 
 
-def attitude_target(setpoint: Setpoint, time_boot_ms: int, target: tuple[int, int]) -> Message | Reject:
+def setpoint_message(setpoint: Setpoint, time_boot_ms: int, target: tuple[int, int]) -> Message | Reject:
+    """Return the message of a setpoint of any law; a Reject when it must not leave."""
+    if isinstance(setpoint, AttitudeSetpoint):
+        return attitude_target(setpoint, time_boot_ms, target)
+    return position_target(setpoint, time_boot_ms, target)
+
+
+def position_target(
+    setpoint: VelocitySetpoint | OffsetSetpoint, time_boot_ms: int, target: tuple[int, int]
+) -> Message | Reject:
+    """SET_POSITION_TARGET_LOCAL_NED: velocity and yaw, or offset from here (LOCAL_OFFSET_NED) with velocity and yaw."""
+    offsets = isinstance(setpoint, OffsetSetpoint)
+    p = setpoint.offset_ned_m if isinstance(setpoint, OffsetSetpoint) else (0.0, 0.0, 0.0)
+    v = setpoint.v_ned_m_s
+    if not all(map(math.isfinite, (*p, *v, setpoint.yaw_rad))):
+        return Reject(setpoint.t_ns, SOURCE, "setpoint_not_finite", "not sent")
+    if math.hypot(*p) > MAX_POSITION_M or math.hypot(*v) > MAX_SPEED_M_S:
+        return Reject(setpoint.t_ns, SOURCE, "setpoint_out_of_range", f"{p} m, {v} m/s: not sent")
+    frame = dialect.MAV_FRAME_LOCAL_OFFSET_NED if offsets else dialect.MAV_FRAME_LOCAL_NED
+    mask = IGNORE_ACCELERATION | IGNORE_YAW_RATE | (0 if offsets else IGNORE_POSITION)
+    return dialect.MAVLink_set_position_target_local_ned_message(
+        time_boot_ms, *target, frame, mask, *p, *v, 0.0, 0.0, 0.0, math.remainder(setpoint.yaw_rad, 2.0 * math.pi), 0.0
+    )
+
+
+def attitude_target(setpoint: AttitudeSetpoint, time_boot_ms: int, target: tuple[int, int]) -> Message | Reject:
     """SET_ATTITUDE_TARGET with attitude and thrust; a Reject when the setpoint must not leave.
 
     A NaN quaternion ends ArduPlane's simulation and one that is scaled is flown scaled, hence the checks here too.

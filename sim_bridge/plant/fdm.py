@@ -26,6 +26,7 @@ from sim_bridge.truth import BodyState
 ROOT = Path(__file__).resolve().parent.parent / "aircraft"
 FT = 0.3048
 LBF = 4.4482216152605
+G_M_S2 = 9.80665
 SLUG_FT3 = 515.3788183932
 """kg/m3 in one slug per cubic foot."""
 
@@ -41,6 +42,9 @@ STATE = (
     "velocities/r-rad_sec",
 )
 GUST = ("atmosphere/gust-north-fps", "atmosphere/gust-east-fps", "atmosphere/gust-down-fps")
+ROTARY_GUST = ("gust/p-rad_sec", "gust/q-rad_sec", "gust/r-rad_sec")
+TRANSFERRED = "inertia/pointmass-weight-lbs[0]"
+BOOM_FORCE = tuple(f"external_reactions/boom/{name}" for name in ("magnitude", "x", "y", "z"))
 FORCE = ("forces/fbx-total-lbs", "forces/fby-total-lbs", "forces/fbz-total-lbs")
 V_AIR = ("velocities/u-aero-fps", "velocities/v-aero-fps", "velocities/w-aero-fps")
 UVW_DOT = ("accelerations/udot-ft_sec2", "accelerations/vdot-ft_sec2", "accelerations/wdot-ft_sec2")
@@ -79,7 +83,10 @@ class Fdm:
         self._set = tuple(self._node(name).set_double_value for name in inputs)
         self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
         self._get_state = tuple(self._node(name).get_double_value for name in STATE)
-        self._mass_kg = float(self._exec["inertia/mass-slugs"]) * LBF / FT
+        self._set_rotary = tuple(self._node(name).set_double_value for name in ROTARY_GUST)
+        self._set_transferred = self._node(TRANSFERRED).set_double_value
+        self._empty_kg = float(self._exec["inertia/mass-slugs"]) * LBF / FT
+        self._mass_kg = self._empty_kg
         self.v_n = self.v_e = self.v_d = 0.0
         self.roll = self.pitch = self.yaw = 0.0
         self.p = self.q = self.r = 0.0
@@ -126,6 +133,30 @@ class Fdm:
         n(north_m_s / FT)
         e(east_m_s / FT)
         d(down_m_s / FT)
+
+    def set_rotary_gust(self, p_rad_s: float, q_rad_s: float, r_rad_s: float) -> None:
+        """Set how the air turns about the aircraft's forward, right and down axes."""
+        p, q, r = self._set_rotary
+        p(p_rad_s)
+        q(q_rad_s)
+        r(r_rad_s)
+
+    def set_transferred(self, fuel_kg: float) -> None:
+        """Set the fuel got in flight (negative: given); mass and inertia follow in the next step."""
+        self._set_transferred(fuel_kg * G_M_S2 / LBF)
+        self._mass_kg = self._empty_kg + fuel_kg
+
+    def set_boom_force(self, force_body_n: tuple[float, float, float]) -> None:
+        """Set what the boom does to the receptacle (N, body axes); only aircraft with a receptacle have this force."""
+        size = math.sqrt(sum(f * f for f in force_body_n))
+        direction = [f / size for f in force_body_n] if size > 0.0 else [1.0, 0.0, 0.0]
+        for name, value in zip(BOOM_FORCE, (size / LBF, *direction), strict=True):
+            self._exec[name] = value
+
+    def scale_coefficient(self, name: str, factor: float) -> None:
+        """Multiply the aerodynamic coefficient ``coef/name``; raises PlantError when the aircraft has none."""
+        node = self._node(f"coef/{name}")
+        node.set_double_value(node.get_double_value() * factor)
 
     def step(self) -> None:
         """Advance one step; raises PlantError when a state is not finite."""

@@ -14,6 +14,7 @@ from companion.config import AirframeConfig, TankerConfig
 from companion.geometry import Vec
 from sim_bridge.plant.actuators import ActuatorConfig, Actuators
 from sim_bridge.plant.boom import nominal_boom
+from sim_bridge.plant.conditions import PlantConditions
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.gusts import GustField
 from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
@@ -42,11 +43,13 @@ class World:
         heading_rad: float = 0.0,
         dt_s: float = 0.005,
         actuators: ActuatorConfig | None = None,
+        conditions: PlantConditions | None = None,
     ) -> None:
         """Put both aircraft into trimmed flight; ``start_tanker_m`` is the receiver's centre of mass in tanker axes.
 
         Raises PlantError when an aircraft cannot be trimmed or loaded, ValueError for an unknown turbulence.
         """
+        self._conditions = conditions or PlantConditions()
         self._dt_ns = round(dt_s * 1e9)
         self.t_ns = 0
         self._cos, self._sin = math.cos(heading_rad), math.sin(heading_rad)

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.app import warm_up
 from companion.io.recorder import RunRecorder
-from companion.messages import Output, Phase, PhaseChange, RelativeState, Setpoint
+from companion.messages import AttitudeSetpoint, Output, Phase, PhaseChange, RelativeState
 from sim_bridge.flight import Ending, LockstepCompanion, run
 from sim_bridge.scenario import load_scenario
 from sim_bridge.simulation import Arrivals, BoxTruth, Simulation
@@ -67,7 +67,7 @@ class Flight:
         return next(c.t_ns for c in self.of(PhaseChange) if c.new is phase) / S
 
     def setpoints_s(self, start_s=0.0, end_s=np.inf):
-        return [o.t_ns / S for o in self.of(Setpoint) if start_s <= o.t_ns / S < end_s]
+        return [o.t_ns / S for o in self.of(AttitudeSetpoint) if start_s <= o.t_ns / S < end_s]
 
     def following_at(self, t_s):
         return self.following[int(np.searchsorted(self.t_s, t_s))]

@@ -14,7 +14,7 @@ from lockstep import S, during, fly_with, near, with_guidance, without
 
 from companion.io.datalink import CHECKSUM, HEADER, LAYOUT
 from companion.io.mavlink_codec import MavlinkCodec, dialect
-from companion.messages import FusedPose, Phase, Reject, RelativeState, Setpoint, VisionOutput
+from companion.messages import AttitudeSetpoint, FusedPose, Phase, Reject, RelativeState, VisionOutput
 
 NAN = math.nan
 NOT_FINITE = "mavlink.not_finite"
@@ -37,7 +37,7 @@ def sane(flight, setup):
     for o in flight.outputs:
         if isinstance(o, RelativeState):
             state = o
-        if isinstance(o, Setpoint):
+        if isinstance(o, AttitudeSetpoint):
             assert abs(o.roll_rad) <= guidance.max_roll_rad  # all of these are false for NaN
             assert abs(o.pitch_rad - trim.alpha_rad) <= guidance.max_pitch_offset_rad + 1e-12
             assert abs(o.yaw_rad) <= math.pi
@@ -185,7 +185,7 @@ def test_source_lost_for_three_seconds(tmp_path, fault, reject):
     assert flight.phases == [Phase.JOIN, Phase.BREAKAWAY]
     assert flight.reason(Phase.BREAKAWAY) == "estimate lost"
     assert LOST_S - 0.1 < flight.entered_s(Phase.BREAKAWAY) - FAULT_S < LOST_S + 0.05
-    later = [o for o in flight.of(Setpoint) if o.t_ns / S > FAULT_S + 3.0]
+    later = [o for o in flight.of(AttitudeSetpoint) if o.t_ns / S > FAULT_S + 3.0]
     assert len(later) > 75
     assert {(o.roll_rad, o.thrust) for o in later} == {(0.0, 0.05)}
     assert flight.following_at(flight.t_s[-1])

@@ -15,6 +15,7 @@ from companion.config import FIRMWARE_CONFIGS, load_setup
 from companion.geometry import SE3, rotation_from_euler
 from companion.guidance.approach import HEARTBEAT_STALE_S, Approach
 from companion.messages import (
+    AttitudeSetpoint,
     AutopilotMode,
     AutopilotStatus,
     Command,
@@ -23,7 +24,6 @@ from companion.messages import (
     PhaseChange,
     Reject,
     RelativeState,
-    Setpoint,
 )
 
 DT_NS = 20_000_000
@@ -51,7 +51,7 @@ def new_approach(**changed):
 def state_at(t_ns, p_m=STATION_M, age_s=0.0, v_m_s=(0.0, 0.0, 0.0)):
     pitch = shipped().airframe.trim.alpha_rad
     return RelativeState(
-        t_ns, t_ns - round(age_s * S), np.array(p_m, float), np.array(v_m_s, float),
+        t_ns, t_ns - round(age_s * S), np.array(p_m, float), np.array(v_m_s, float), np.array([205.7, 0.0, 0.0]),
         rotation_from_euler(0.1, pitch, 0.02), np.zeros(3), 0.0, SE3.identity(), 20.0,
         1.0, 9,
     )
@@ -119,7 +119,7 @@ def test_whatever_the_estimate_does(sequence):
                 state.p_mrf_br_m[1] = poison
             before = loop.approach.phase
             outputs = loop.step(state, mode)
-            setpoints = kinds(outputs, Setpoint)
+            setpoints = kinds(outputs, AttitudeSetpoint)
             assert len(setpoints) <= 1
             told = [g.setpoint for g in kinds(outputs, GuidanceOutput)]
             assert told in ([], [*setpoints, None][:1])  # the record tells what was sent
@@ -143,7 +143,7 @@ def test_the_way_to_hold_and_a_setpoint_in_every_step_of_it():
     p = loop.ride(Phase.HOLD)
     assert [c.new for c in loop.changes] == [Phase.JOIN, Phase.APPROACH, Phase.HOLD]
     assert np.allclose(p, 0.0, atol=1e-9)
-    assert len(kinds(loop.hold_still(1.0, p), Setpoint)) == 50
+    assert len(kinds(loop.hold_still(1.0, p), AttitudeSetpoint)) == 50
 
 
 def test_without_engaging_nothing_is_sent():
@@ -179,7 +179,7 @@ def test_a_stale_estimate_stops_setpoints_at_once_and_breaks_away_after_a_second
     sent = []
     while loop.approach.phase is not Phase.BREAKAWAY:
         age_ns = loop.t_ns - start_ns
-        sent += [age_ns * 1e-9 for _ in kinds(loop.step(state_at(loop.t_ns, age_s=age_ns * 1e-9)), Setpoint)]
+        sent += [age_ns * 1e-9 for _ in kinds(loop.step(state_at(loop.t_ns, age_s=age_ns * 1e-9)), AttitudeSetpoint)]
     assert 0.28 <= max(sent) <= 0.3
     assert 1.0 < (loop.changes[-1].t_ns - start_ns) * 1e-9 <= 1.04
     assert loop.changes[-1].reason == "estimate lost"
@@ -195,7 +195,7 @@ def test_refused_setpoints_tell_why():
 def test_a_state_that_is_not_a_number_breaks_away_at_once_on_numbers():
     loop = Loop()
     loop.hold_still(1.0)
-    [s] = kinds(loop.step(state_at(loop.t_ns, [0.0, math.nan, 0.0])), Setpoint)
+    [s] = kinds(loop.step(state_at(loop.t_ns, [0.0, math.nan, 0.0])), AttitudeSetpoint)
     assert loop.changes[-1].new is Phase.BREAKAWAY
     assert all(map(math.isfinite, (s.roll_rad, s.pitch_rad, s.yaw_rad, s.thrust)))
 
@@ -207,7 +207,7 @@ def test_breakaway_descends_level_with_little_thrust_until_it_is_cleared_and_sta
     out = loop.hold_still(3.0, [-1.0, 0.0, 1.0])
     assert loop.changes[-1].reason == "operator's command"
     trim, config = shipped().airframe.trim, shipped().config.guidance
-    sent = kinds(out, Setpoint)
+    sent = kinds(out, AttitudeSetpoint)
     assert len(sent) == 150
     wanted = (0.0, trim.alpha_rad - config.breakaway_descent_rad, config.breakaway_thrust)
     assert {(s.roll_rad, s.pitch_rad, s.thrust) for s in sent} == {wanted}
@@ -215,7 +215,7 @@ def test_breakaway_descends_level_with_little_thrust_until_it_is_cleared_and_sta
     loop.hold_still(1.0)
     assert loop.approach.phase is Phase.BREAKAWAY
     loop.approach.command_event(Command.CLEAR)
-    assert kinds(loop.hold_still(5.0), Setpoint) == []
+    assert kinds(loop.hold_still(5.0), AttitudeSetpoint) == []
     assert loop.approach.phase is Phase.STANDBY
 
 
@@ -227,8 +227,8 @@ def test_a_second_approach_knows_nothing_of_the_first():
     loop.approach.command_event(Command.CLEAR)
     loop.hold_still(0.1)
     loop.approach.command_event(Command.ENGAGE)
-    again = [replace(s, t_ns=0) for s in kinds(loop.hold_still(1.0), Setpoint)]
-    first = [replace(s, t_ns=0) for s in kinds(Loop().hold_still(1.0), Setpoint)]
+    again = [replace(s, t_ns=0) for s in kinds(loop.hold_still(1.0), AttitudeSetpoint)]
+    first = [replace(s, t_ns=0) for s in kinds(Loop().hold_still(1.0), AttitudeSetpoint)]
     assert again == first
 
 
@@ -243,13 +243,13 @@ def test_leaving_the_limit_window_in_hold_breaks_away():
 def test_a_silent_heartbeat_or_another_mode_ends_the_setpoints():
     loop = Loop()
     loop.hold_still(1.0)
-    assert kinds(loop.step(state_at(loop.t_ns), AutopilotMode.MANUAL), Setpoint) == []
+    assert kinds(loop.step(state_at(loop.t_ns), AutopilotMode.MANUAL), AttitudeSetpoint) == []
     assert loop.approach.phase is Phase.STANDBY
     loop = Loop()
     loop.hold_still(1.0)
     begin_ns, sent_ns = loop.t_ns, []
     for _ in range(250):
-        sent_ns += [s.t_ns for s in kinds(loop.step(state_at(loop.t_ns), None), Setpoint)]
+        sent_ns += [s.t_ns for s in kinds(loop.step(state_at(loop.t_ns), None), AttitudeSetpoint)]
     assert loop.approach.phase is Phase.STANDBY
     assert HEARTBEAT_STALE_S - 0.1 < (max(sent_ns) - begin_ns) * 1e-9 < HEARTBEAT_STALE_S
 

@@ -21,6 +21,7 @@ from companion.config import (
 )
 from companion.geometry import SE3, Mat, Vec, exp_so3, rotation_from_euler
 from companion.messages import (
+    AttitudeSetpoint,
     CameraFrame,
     Detections,
     Event,
@@ -34,7 +35,6 @@ from companion.messages import (
     PoseMeasurement,
     Reject,
     RelativeState,
-    Setpoint,
     TankerState,
     Tick,
     VisionMode,
@@ -155,11 +155,11 @@ def guidance_step(flight: Flight, t_ns: int, phase: Phase) -> Iterator[tuple[str
     T_cam_tanker, heading = flight.T_cam_tanker(t), HEADING
     yield "in", Tick(t_ns)
     yield "out", RelativeState(
-        t_ns, t_ns, flight.br(t) + 0.04 * np.sin(np.array([3.0, 4.0, 5.0]) * t), np.zeros(3),
+        t_ns, t_ns, flight.br(t) + 0.04 * np.sin(np.array([3.0, 4.0, 5.0]) * t), np.zeros(3), np.zeros(3),
         flight.uav(t).R, np.zeros(3), heading, T_cam_tanker,
         float(np.linalg.norm(T_cam_tanker.t)), weight(t), 8,
     )  # fmt: skip
-    setpoint = Setpoint(t_ns, 0.05 * np.sin(0.5 * t), 0.05 + 0.01 * np.sin(0.8 * t), HEADING, 0.3)
+    setpoint = AttitudeSetpoint(t_ns, 0.05 * np.sin(0.5 * t), 0.05 + 0.01 * np.sin(0.8 * t), HEADING, 0.3)
     reference = flight.reference(t)
     yield "out", GuidanceOutput(t_ns, phase, reference, flight.br(t) - reference, np.zeros(3), setpoint)
     yield "out", setpoint

@@ -13,6 +13,7 @@ from companion.config import LinksConfig
 from companion.geometry import rotation_from_euler, rotation_from_quaternion
 from companion.io.mavlink import AutopilotLink, MavlinkCodec, Message, dialect
 from companion.messages import (
+    AttitudeSetpoint,
     AutopilotMode,
     AutopilotStatus,
     Command,
@@ -21,7 +22,6 @@ from companion.messages import (
     OwnAttitude,
     OwnPosition,
     Reject,
-    Setpoint,
 )
 
 MS = 1_000_000
@@ -265,7 +265,7 @@ angles = st.floats(-1.5, 1.5)
 @given(angles, angles, st.floats(-10.0, 10.0), st.floats(0.0, 1.0))
 def test_a_setpoint_arrives_as_it_was_meant(roll: float, pitch: float, yaw: float, thrust: float):
     link = synced()
-    frame = link.encode_setpoint(Setpoint(10 * S, roll, pitch, yaw, thrust), 10 * S)
+    frame = link.encode_setpoint(AttitudeSetpoint(10 * S, roll, pitch, yaw, thrust), 10 * S)
     assert frame is not None
     [message] = decoded(frame)
     assert message.type_mask == 0x07
@@ -286,7 +286,7 @@ def test_a_setpoint_that_is_none_never_leaves(field: str, value: float, reason: 
         value, reason = -math.inf, "setpoint_not_finite"  # any finite heading is a heading
     fields = {"roll_rad": 0.1, "pitch_rad": 0.1, "yaw_rad": 0.1, "thrust": 0.5, field: value}
     link = synced()
-    assert link.encode_setpoint(Setpoint(t_ns=10 * S, **fields), 10 * S) is None
+    assert link.encode_setpoint(AttitudeSetpoint(t_ns=10 * S, **fields), 10 * S) is None
     assert reasons(link.receive(b"", 10 * S)) == [reason]
     assert reasons(link.receive(b"", 10 * S)) == []
 

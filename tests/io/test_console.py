@@ -55,7 +55,7 @@ def test_setpoints_that_stopped_are_at_zero_hertz() -> None:
     shown = FlightConsole(synthetic_setup(), Console(file=StringIO()))
     assert shown.setpoint_rate_hz() == 0.0
     for _, message in messages(synthetic_setup(), 2.0):
-        if type(message).__name__ == "Setpoint":
+        if type(message).__name__ == "AttitudeSetpoint":
             shown.output(message)  # type: ignore[arg-type]
     assert shown.setpoint_rate_hz() == pytest.approx(50.0)
     shown.output(PhaseChange(4_000_000_000, Phase.APPROACH, Phase.BREAKAWAY, "later"))

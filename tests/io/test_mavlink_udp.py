@@ -11,7 +11,7 @@ from companion.config import ConfigError, LinksConfig
 from companion.io.clock import MonotonicClock, SimulatedClock
 from companion.io.mavlink import MavlinkCodec, MavlinkUdp, Message, dialect
 from companion.io.transport import UdpTransport, UdpUrl, parse_url
-from companion.messages import AutopilotStatus, Command, Event, OperatorCommand, OwnPosition, Reject, Setpoint
+from companion.messages import AttitudeSetpoint, AutopilotStatus, Command, Event, OperatorCommand, OwnPosition, Reject
 
 S = 1_000_000_000
 HEARTBEAT = dialect.MAVLink_heartbeat_message(1, dialect.MAV_AUTOPILOT_GENERIC, 8 | 128, 0, 4, 3)
@@ -140,8 +140,8 @@ def test_both_ways(link: MavlinkUdp, clock: SimulatedClock, meet: Callable[[int,
     assert isinstance(own, OwnPosition)
     assert own.t_ns == clock.now_ns()
     assert link.offset_ns() == 7 * S - clock.now_ns()
-    link.send(Setpoint(clock.now_ns(), 0.1, 0.2, 0.3, 0.4))
-    link.send(Setpoint(clock.now_ns(), float("nan"), 0.2, 0.3, 0.4))
+    link.send(AttitudeSetpoint(clock.now_ns(), 0.1, 0.2, 0.3, 0.4))
+    link.send(AttitudeSetpoint(clock.now_ns(), float("nan"), 0.2, 0.3, 0.4))
     link.say("approach")
     heard = wait_for(autopilot.received, 2)
     assert [m.get_type() for m in heard] == ["SET_ATTITUDE_TARGET", "STATUSTEXT"]
