@@ -25,7 +25,7 @@ from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import score
-from sim_bridge.simulation import TRUTH_EVERY, Arrivals, BoxTruth, Simulation
+from sim_bridge.simulation import TRUTH_EVERY, Arrivals, BoxTruth, Simulation, nominal_heading_rad
 from sim_bridge.truth import Truth
 from sim_bridge.truth_log import TruthLog
 
@@ -114,7 +114,7 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
         if watch is not None:
             watch(output)
 
-    box = BoxTruth(setup, scenario.heading_rad)
+    box = BoxTruth(setup, nominal_heading_rad(scenario))
     with RunRecorder(folder, setup) as recorder, TruthLog(folder, setup) as truth_log:
         companion = LockstepCompanion(setup, recorder, see_output)
         ending = Ending(scenario.hold_s, scenario.timeout_s)

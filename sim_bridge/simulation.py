@@ -7,6 +7,7 @@ pictures, at the instant at which it would arrive.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import Setup
-from companion.geometry import Vec, rotation_from_euler
+from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.io.datalink import encode_frame
 from companion.messages import CameraFrame
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
@@ -145,15 +146,29 @@ class Simulation:
 
 
 class BoxTruth:
-    """True BR, the receptacle against the box, in the psi frame: what flights are scored on."""
+    """True BR, the receptacle against the box, in the psi frame: what flights are scored on.
 
-    def __init__(self, setup: Setup, heading_rad: float) -> None:
+    Behind a tanker that turns (``heading_rad`` None) the psi frame has the tanker's course.
+    """
+
+    def __init__(self, setup: Setup, heading_rad: float | None) -> None:
         self._box_tanker_m = np.array(setup.tanker.box_tanker_m)
         self._receptacle_frd_m = np.array(setup.airframe.receptacle_frd_m)
-        self._R_mrf_ned = rotation_from_euler(heading_rad, 0.0, 0.0).T
+        self._R_mrf_ned = None if heading_rad is None else rotation_from_euler(heading_rad, 0.0, 0.0).T
 
     def p_mrf_br_m(self, truth: Truth) -> Vec:
         """Return BR (3,) at the instant of ``truth``."""
         receptacle = truth.uav.T_ned_body().transform(self._receptacle_frd_m)
         box = truth.tanker.T_ned_body().transform(self._box_tanker_m)
-        return self._R_mrf_ned @ (receptacle - box)
+        return self._psi_frame(truth) @ (receptacle - box)
+
+    def _psi_frame(self, truth: Truth) -> Mat:
+        if self._R_mrf_ned is not None:
+            return self._R_mrf_ned
+        course = math.atan2(truth.tanker.v_ned_m_s[1], truth.tanker.v_ned_m_s[0])
+        return rotation_from_euler(course, 0.0, 0.0).T
+
+
+def nominal_heading_rad(scenario: Scenario) -> float | None:
+    """Return the heading of the formation, None behind a tanker that turns."""
+    return scenario.heading_rad if scenario.plant.course.kind == "straight" else None

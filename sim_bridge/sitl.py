@@ -22,7 +22,7 @@ from sim_bridge.flight import BREAKAWAY_WATCH_S, Flown
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import score
 from sim_bridge.serve import Served, serve
-from sim_bridge.simulation import BoxTruth
+from sim_bridge.simulation import BoxTruth, nominal_heading_rad
 from sim_bridge.truth import Truth
 from sim_bridge.truth_log import TruthLog
 
@@ -96,7 +96,7 @@ class _SitlFlight:
 
     def __init__(self, scenario: Scenario, setup: Setup) -> None:
         self._scenario, self._setup = scenario, setup
-        self._box = BoxTruth(setup, scenario.heading_rad)
+        self._box = BoxTruth(setup, nominal_heading_rad(scenario))
         self._companion: CompanionProcess | None = None
         self._recording: tuple[Path, TruthLog] | None = None
         self._started_s = 0.0

@@ -49,7 +49,7 @@ def test_a_file_is_taken_as_well_as_a_name(tmp_path: Path) -> None:
 
 
 def test_unknown_name_is_answered_with_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"did you mean 'docking'.*docking, thesis"):
+    with pytest.raises(ConfigError, match=r"did you mean 'docking'.*docking,.*thesis"):
         load_scenario("dokcing")
 
 

@@ -15,7 +15,7 @@ from companion.io.recorder import RunRecorder
 from companion.messages import AttitudeSetpoint, Output, Phase, PhaseChange, RelativeState
 from sim_bridge.flight import Ending, LockstepCompanion, run
 from sim_bridge.scenario import load_scenario
-from sim_bridge.simulation import Arrivals, BoxTruth, Simulation
+from sim_bridge.simulation import Arrivals, BoxTruth, Simulation, nominal_heading_rad
 
 S = 1_000_000_000
 STEP_S = 0.005
@@ -93,7 +93,7 @@ class Faulty(Simulation):
     def __init__(self, scenario, setup, flight, fault, back):
         super().__init__(scenario, setup)
         self._flight, self._fault, self._back = flight, fault, back
-        self._box = BoxTruth(setup, scenario.heading_rad)
+        self._box = BoxTruth(setup, nominal_heading_rad(scenario))
 
     def step(self):
         f = self._flight
