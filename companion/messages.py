@@ -34,6 +34,30 @@ class CameraFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Marker candidates of one frame.
+
+    Centroids ``uv_px`` (m, 2), x right, y down, pixel centres at integers; ``area_px`` (m,) lit; ``sigma_px`` (m,)
+    standard deviation per axis; ``flags`` (m,) what is odd about them (``companion.vision.detection.Flag``).
+    """
+
+    t_ns: int
+    uv_px: Mat
+    area_px: Vec
+    sigma_px: Vec
+    flags: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerFrame:
+    """What a camera saw that hands over its detections instead of a picture; ``t_ns`` mid-exposure."""
+
+    t_ns: int
+    sequence: int
+    detections: Detections
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class OwnAttitude:
     """Receiver's attitude from its INS: ``R_ned_frd`` (3, 3), body rates ``omega_frd_rad_s`` (3,)."""
 
@@ -114,22 +138,10 @@ class Reject:
     detail: str = ""
 
 
-Event = CameraFrame | OwnAttitude | OwnPosition | TankerState | AutopilotStatus | OperatorCommand | Tick | Reject
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Detections:
-    """Marker candidates of one frame.
-
-    Centroids ``uv_px`` (m, 2), x right, y down, pixel centres at integers; ``area_px`` (m,) lit; ``sigma_px`` (m,)
-    standard deviation per axis; ``flags`` (m,) what is odd about them (``companion.vision.detection.Flag``).
-    """
-
-    t_ns: int
-    uv_px: Mat
-    area_px: Vec
-    sigma_px: Vec
-    flags: NDArray[np.uint8]
+Event = (
+    CameraFrame | MarkerFrame | OwnAttitude | OwnPosition | TankerState | AutopilotStatus | OperatorCommand | Tick
+    | Reject
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

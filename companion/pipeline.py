@@ -22,6 +22,7 @@ from companion.messages import (
     CameraFrame,
     Command,
     Event,
+    MarkerFrame,
     OperatorCommand,
     Output,
     OwnAttitude,
@@ -52,11 +53,12 @@ class Pipeline:
         self.blend = Blend(setup.config.fusion, T_frd_cam(setup.camera))
         self.relative = RelativeEstimator(self.blend, setup.tanker, setup.airframe)
         self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
-        self._last_frame: CameraFrame | None = None
+        self._last_frame: CameraFrame | MarkerFrame | None = None
         self._seen_real = False  # a pose of a picture since real vision was switched on
 
         self._handlers: dict[type, Callable[[Any], list[Output]]] = {
             CameraFrame: self._frame,
+            MarkerFrame: self._frame,
             Tick: self._tick,
             OwnAttitude: lambda event: _only(self.blend.own_attitude_event(event)),
             OwnPosition: lambda event: _only(self.blend.own_position_event(event)),
@@ -87,7 +89,7 @@ class Pipeline:
         self.approach.command_event(command.command)
         return []
 
-    def _frame(self, frame: CameraFrame) -> list[Output]:
+    def _frame(self, frame: CameraFrame | MarkerFrame) -> list[Output]:
         fault = self._standstill(frame)
         if fault:
             return [Reject(frame.t_ns, "camera", fault)]
@@ -104,7 +106,7 @@ class Pipeline:
         self._mark("fusion")
         return [seen] if fused is None else [seen, fused]
 
-    def _standstill(self, frame: CameraFrame) -> str:
+    def _standstill(self, frame: CameraFrame | MarkerFrame) -> str:
         """Say what shows that the camera stands still: a stamp, or a picture bit for bit, that has been before.
 
         A sensor's noise never repeats, and a frozen picture flown on leads forward for ever.
@@ -114,7 +116,7 @@ class Pipeline:
             return "time_not_forward"
         self._last_frame = frame
         looks = self.vision.mode is VisionMode.REAL
-        return "frozen" if looks and last is not None and _same_picture(frame.image, last.image) else ""
+        return "frozen" if looks and last is not None and _repeats(frame, last) else ""
 
     def _tick(self, tick: Tick) -> list[Output]:
         state = self.relative.at(tick.t_ns)
@@ -122,6 +124,16 @@ class Pipeline:
         outputs += self.approach.step(tick.t_ns, state)
         self._mark("guidance")
         return outputs
+
+
+def _repeats(frame: CameraFrame | MarkerFrame, last: CameraFrame | MarkerFrame) -> bool:
+    """Say whether a frame shows bit for bit what the last one showed; no markers at all are no repeat."""
+    if isinstance(frame, CameraFrame) and isinstance(last, CameraFrame):
+        return _same_picture(frame.image, last.image)
+    if isinstance(frame, MarkerFrame) and isinstance(last, MarkerFrame):
+        uv_px = frame.detections.uv_px
+        return len(uv_px) > 0 and np.array_equal(uv_px, last.detections.uv_px)
+    return False
 
 
 def _same_picture(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> bool:

@@ -15,6 +15,7 @@ from companion.messages import (
     CameraFrame,
     Event,
     FusedPose,
+    MarkerFrame,
     Output,
     Phase,
     PhaseChange,
@@ -89,7 +90,7 @@ class Service:
     def dispatch(self, event: Event) -> list[Output]:
         """Pass one event through, send, record, measure; return the outputs."""
         self._t_ns = self._clock.now_ns()
-        if isinstance(event, CameraFrame):
+        if isinstance(event, CameraFrame | MarkerFrame):
             self._recorder.latency(self._t_ns, "transport", self._t_ns - event.t_ns)
         self._stage_start_ns = time.perf_counter_ns()
         outputs = self.pipeline.handle(event)

@@ -35,7 +35,10 @@ def parser() -> argparse.ArgumentParser:
     p = OneLineParser(prog="sim-bridge", description="Two aircraft, weather, sensors, camera, autopilot.")
     p.add_argument("--version", action="version", version=__version__)
     commands = p.add_subparsers(dest="command", required=True)
-    _flight(commands.add_parser("fly", help="fly a scenario in lockstep, one process, faster than real time"), _fly)
+    f = commands.add_parser("fly", help="fly a scenario in lockstep, one process, faster than real time")
+    _flight(f, _fly)
+    f.add_argument("--detections", action="store_true",
+                   help="the camera hands over detections instead of pictures: several times as fast")
     _flight(commands.add_parser("sitl", help="fly a scenario as two processes on the wall clock"), _sitl)
     s = commands.add_parser("serve", help="simulate on the wall clock and wait for a companion of yours")
     _scenario(s)
@@ -95,6 +98,8 @@ def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
             msg = f"--seed {a.seed}: must not be negative"
             raise ConfigError(msg)
         scenario = replace(scenario, seed=a.seed)
+    if getattr(a, "detections", False):
+        scenario = replace(scenario, vision_input="detections")
     path = Path(scenario.companion)
     config = load_toml(path, CompanionConfig)
     given = {k: v for k in ("mavlink", "camera") if (v := getattr(a, k, None)) is not None}

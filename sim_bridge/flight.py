@@ -19,7 +19,7 @@ from companion.io.clock import SimulatedClock
 from companion.io.datalink import TankerReceiver
 from companion.io.mavlink import AutopilotLink
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import NS, Output, Phase, PhaseChange, Setpoint, Tick
+from companion.messages import NS, CameraFrame, MarkerFrame, Output, Phase, PhaseChange, Setpoint, Tick
 from companion.ports import Recorder
 from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
@@ -65,12 +65,19 @@ class LockstepCompanion:
                 dispatch(event)
         if self.link.offset_ns is not None:
             for frame in arrivals.frames:
-                dispatch(replace(frame, t_ns=self.link.to_companion_ns(frame.t_ns)))
+                dispatch(stamped(frame, self.link.to_companion_ns(frame.t_ns)))
         if self._ticker.due(t_ns):
             dispatch(Tick(t_ns))
         self._out += self.link.outgoing(t_ns)
         out, self._out = bytes(self._out), bytearray()
         return out
+
+
+def stamped(frame: CameraFrame | MarkerFrame, t_ns: int) -> CameraFrame | MarkerFrame:
+    """Return the frame with another stamp."""
+    if isinstance(frame, CameraFrame):
+        return replace(frame, t_ns=t_ns)
+    return replace(frame, t_ns=t_ns, detections=replace(frame.detections, t_ns=t_ns))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +135,8 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
         result = score(truth_log.series(), phases, setup.tanker.window, scenario)
         summary = recorder.write_summary(
             {
-                **result, "seed": scenario.seed, "scenario": scenario.name, "plant_failure": failure,
+                **result, "seed": scenario.seed, "scenario": scenario.name,
+                "vision_input": scenario.vision_input, "plant_failure": failure,
                 "interrupted": interrupted, "flown_s": simulation.truth.t_ns * NS,
                 "real_time_factor": round(simulation.truth.t_ns / wall_ns, 2),
                 "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),

@@ -17,6 +17,7 @@ from companion.config import ConfigError, Setup
 from companion.io.camera import ZmqFrameSender
 from companion.io.mavlink import MavlinkCodec, dialect
 from companion.io.transport import UdpTransport
+from companion.messages import CameraFrame
 from sim_bridge.datalink import PtyLink
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
@@ -105,8 +106,12 @@ def serve(
     """Serve one flight until ``stop``; ``see`` takes the truth at 50 Hz.
 
     ``ready`` is called when all wires are up, ``heard`` when a companion has answered; Ctrl-C after ``ready`` ends the
-    serving as ``stop`` does. Raises ConfigError when a wire is not free.
+    serving as ``stop`` does. Raises ConfigError when a wire is not free, or the scenario's camera gives no pictures.
     """
+    if scenario.vision_input != "pictures":
+        msg = (f'scenario {scenario.name}: vision_input = "{scenario.vision_input}" flies in lockstep only; '
+               'use sim-bridge fly, or vision_input = "pictures"')
+        raise ConfigError(msg)
     links = setup.config.links
     with ExitStack() as stack:
         transport = UdpTransport("mavlink", companion_end(links.mavlink))
@@ -163,4 +168,5 @@ def _exchange(simulation: Simulation, transport: UdpTransport, camera: ZmqFrameS
     arrivals = simulation.step()
     transport.send(arrivals.mavlink)
     for frame in arrivals.frames:
-        camera.send(frame)
+        if isinstance(frame, CameraFrame):
+            camera.send(frame)

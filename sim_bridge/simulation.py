@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from companion.config import Setup
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.io.datalink import encode_frame
-from companion.messages import CameraFrame
+from companion.messages import CameraFrame, MarkerFrame
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
 from sim_bridge.datalink import SerialPacer
+from sim_bridge.marker_sensor import MarkerCamera
 from sim_bridge.operator import ScheduledOperator
 from sim_bridge.plant.world import World
 from sim_bridge.scenario import Scenario
@@ -35,12 +36,12 @@ TRUTH_EVERY = 4  # steps: 50 Hz
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrivals:
-    """What reaches the companion at ``t_ns``: bytes of both links, pictures."""
+    """What reaches the companion at ``t_ns``: bytes of both links, pictures or detections."""
 
     t_ns: int
     mavlink: bytes
     datalink: bytes
-    frames: list[CameraFrame]
+    frames: list[CameraFrame] | list[MarkerFrame]
 
 
 class SerialLine(Protocol):
@@ -115,7 +116,10 @@ class Simulation:
         self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz)
         self._origin_altitude_m = setup.config.links.origin_altitude_m
         self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
-        self._camera = Camera(setup, camera, executor, scenario.picture)
+        self._camera = (
+            Camera(setup, camera, executor, scenario.picture) if scenario.vision_input == "pictures"
+            else MarkerCamera(setup, camera, scenario.markers)
+        )
         self._operator = ScheduledOperator(setup.config.links, scenario.commands)
 
     @property

@@ -39,7 +39,7 @@ import tomli_w
 
 from companion.config import ConfigError, Setup
 from companion.io.rerun_log import RerunLog
-from companion.messages import CameraFrame, Event, Output, PhaseChange, Reject, Setpoint, VisionOutput
+from companion.messages import CameraFrame, Event, MarkerFrame, Output, PhaseChange, Reject, Setpoint, VisionOutput
 
 FLUSH_S = 0.2
 CHUNK_BYTES = 1 << 16
@@ -158,6 +158,7 @@ class RunRecorder:
             size = {"t_ns": event.t_ns, "sequence": event.sequence, "width_px": width, "height_px": height}
             self._append("CameraFrame", "in", size)
         else:
+            self.frames += isinstance(event, MarkerFrame)
             self._append(type(event).__name__, "in", event)
         self._rerun.event(event)
 

@@ -37,6 +37,7 @@ from companion.messages import (
     Event,
     FusedPose,
     GuidanceOutput,
+    MarkerFrame,
     Output,
     Phase,
     PhaseChange,
@@ -87,8 +88,8 @@ class RerunLog:
 
     def event(self, event: Event) -> None:
         """Take an input: of those only pictures are drawn, rejects come out of the pipeline again."""
-        if isinstance(event, CameraFrame):
-            self._picture(event)
+        if isinstance(event, CameraFrame | MarkerFrame):
+            self._frame(event)
 
     def output(self, output: Output) -> None:
         """Take an output; of the vision's only those of the pictures that were kept."""
@@ -99,7 +100,7 @@ class RerunLog:
         """Take how long a stage took."""
         self._put((t_ns, stage, duration_ns))
 
-    def _picture(self, frame: CameraFrame) -> None:
+    def _frame(self, frame: CameraFrame | MarkerFrame) -> None:
         if self._picture_step_ns is None:
             return
         due_ns = frame.t_ns if self._picture_due_ns is None else self._picture_due_ns
@@ -107,6 +108,9 @@ class RerunLog:
             return
         # On the grid of the rate while pictures come; from now on after a gap.
         self._picture_due_ns = max(due_ns + self._picture_step_ns, frame.t_ns + self._picture_step_ns // 2)
+        if isinstance(frame, MarkerFrame):
+            self._kept_sequence = frame.sequence
+            return
         if self._pictures_taken - self._pictures_drawn >= QUEUED_PICTURES:
             self.pictures_dropped += 1
             return

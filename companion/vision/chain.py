@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from companion.config import CameraConfig, TankerConfig, VisionConfig, landmarks
 from companion.geometry import SE3, Mat, Vec
-from companion.messages import CameraFrame, Detections, PoseMeasurement, Reject, VisionMode, VisionOutput
+from companion.messages import CameraFrame, Detections, MarkerFrame, PoseMeasurement, Reject, VisionMode, VisionOutput
 from companion.vision.camera import pixels_to_normalised, project
 from companion.vision.corners import detect_corners
 from companion.vision.detection import Blobs, detect_markers
@@ -58,7 +58,9 @@ class VisionChain:
         self._focal_px = float(np.sqrt(camera.fx_px * camera.fy_px))
         self._labeler = Labeler(self.markers, config)
 
-    def process(self, frame: CameraFrame, prior_T_cam_tanker: SE3 | None, *, tracked: bool = False) -> VisionOutput:
+    def process(
+        self, frame: CameraFrame | MarkerFrame, prior_T_cam_tanker: SE3 | None, *, tracked: bool = False
+    ) -> VisionOutput:
         """Return what ``frame`` shows, given about where the tanker is: T_cam_tanker from fusion (thesis 3.2).
 
         None when nothing is known of where the tanker is: its lights are then searched for (``reacquire``).
@@ -69,6 +71,8 @@ class VisionChain:
             return self._refused(frame, "prior_not_finite")
         if self.mode is VisionMode.SIMULATED:
             return self._simulated(frame, prior)
+        if isinstance(frame, MarkerFrame):
+            return self.measure(frame.sequence, frame.detections, prior, tracked=tracked)
         bad = self._complaint(frame)
         if bad:
             return self._refused(frame, "frame_size", bad, self._predicted(prior))
@@ -112,7 +116,7 @@ class VisionChain:
         expected[labels[used]] = apparent_radius_px(self.camera, T_cam_tanker, self.markers[used], self._radius_m)
         return detections_of(t_ns, compare_with_expected(blobs, expected))
 
-    def _simulated(self, frame: CameraFrame, prior: SE3 | None) -> VisionOutput:
+    def _simulated(self, frame: CameraFrame | MarkerFrame, prior: SE3 | None) -> VisionOutput:
         """Take the predicted markers themselves, those inside the picture, for what was seen (thesis 4.2.5)."""
         predicted = self._predicted(prior)
         size = np.array([self.camera.width_px, self.camera.height_px])
@@ -157,7 +161,9 @@ class VisionChain:
         reject = Reject(detections.t_ns, "vision", *refusal)
         return VisionOutput(detections.t_ns, sequence, detections, predicted, None, reject)
 
-    def _refused(self, frame: CameraFrame, reason: str, detail: str = "", predicted: Mat | None = None) -> VisionOutput:
+    def _refused(
+        self, frame: CameraFrame | MarkerFrame, reason: str, detail: str = "", predicted: Mat | None = None
+    ) -> VisionOutput:
         """Return that the frame was not looked at."""
         nothing = Detections(frame.t_ns, np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, dtype=np.uint8))
         return self._output(frame.sequence, nothing, self._predicted(None) if predicted is None else predicted,
