@@ -83,10 +83,12 @@ class Fdm:
         self._set = tuple(self._node(name).set_double_value for name in inputs)
         self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
         self._get_state = tuple(self._node(name).get_double_value for name in STATE)
+        self._get_felt = tuple(self._node(name).get_double_value for name in (*FORCE, *V_AIR))
         self._set_rotary = tuple(self._node(name).set_double_value for name in ROTARY_GUST)
         self._set_transferred = self._node(TRANSFERRED).set_double_value
         self._empty_kg = float(self._exec["inertia/mass-slugs"]) * LBF / FT
         self._mass_kg = self._empty_kg
+        self.span_m = float(self._exec["metrics/bw-ft"]) * FT
         self.v_n = self.v_e = self.v_d = 0.0
         self.roll = self.pitch = self.yaw = 0.0
         self.p = self.q = self.r = 0.0
@@ -190,25 +192,25 @@ class Fdm:
         cps, sps = math.cos(self.yaw), math.sin(self.yaw)
         cth, sth = math.cos(self.pitch), math.sin(self.pitch)
         cph, sph = math.cos(self.roll), math.sin(self.roll)
-        return np.array(
-            [
-                [cth * cps, sph * sth * cps - cph * sps, cph * sth * cps + sph * sps],
-                [cth * sps, sph * sth * sps + cph * cps, cph * sth * sps - sph * cps],
-                [-sth, sph * cth, cph * cth],
-            ]
-        )
+        # Row by row in one tuple, because numpy takes longer over nested lists.
+        return np.array((
+            cth * cps, sph * sth * cps - cph * sps, cph * sth * cps + sph * sps,
+            cth * sps, sph * sth * sps + cph * cps, cph * sth * sps - sph * cps,
+            -sth, sph * cth, cph * cth,
+        )).reshape(3, 3)
 
     def state(self, t_ns: int) -> BodyState:
         """Return everything about this instant."""
-        get = self._exec.get_property_value
+        fx, fy, fz, u, v, w = [get() for get in self._get_felt]
+        mass_kg = self._mass_kg
         return BodyState(
             t_ns=t_ns,
             p_ned_m=np.array((self.p_n, self.p_e, self.p_d)),
             v_ned_m_s=np.array((self.v_n, self.v_e, self.v_d)),
             R_ned_body=self.rotation(),
             omega_body_rad_s=np.array((self.p, self.q, self.r)),
-            specific_force_body_m_s2=np.array([get(name) * LBF / self._mass_kg for name in FORCE]),
-            v_air_body_m_s=np.array([get(name) * FT for name in V_AIR]),
+            specific_force_body_m_s2=np.array((fx * LBF / mass_kg, fy * LBF / mass_kg, fz * LBF / mass_kg)),
+            v_air_body_m_s=np.array((u * FT, v * FT, w * FT)),
         )
 
     def air_density_kg_m3(self) -> float:

@@ -18,8 +18,9 @@ from sim_bridge.plant.conditions import PlantConditions
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.gusts import GustField
 from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
-from sim_bridge.plant.tanker import G, TankerAutopilot, trim_tanker
+from sim_bridge.plant.tanker import G, TankerAutopilot, TankerTrim, trim_tanker
 from sim_bridge.plant.wake import Wake
+from sim_bridge.plant.wind import Wind, start_in_wind
 from sim_bridge.truth import EFFECTORS, Truth
 
 MACH = 0.65
@@ -52,12 +53,11 @@ class World:
         self._conditions = conditions or PlantConditions()
         self._dt_ns = round(dt_s * 1e9)
         self.t_ns = 0
-        self._cos, self._sin = math.cos(heading_rad), math.sin(heading_rad)
         self._boom = nominal_boom(tanker.boom)
-        self._gusts = GustField(turbulence, rng)
+        self._gusts = GustField(turbulence, rng, heading_rad)
+        self._wind = Wind(self._conditions.wind)
         self._tanker = Fdm("kc135r", TANKER_INPUTS, dt_s, ALTITUDE_M)
-        trim = trim_tanker(self._tanker, airframe.trim.airspeed_m_s, (0.0, 0.0, 0.0), heading_rad)
-        self._tanker_autopilot = TankerAutopilot(self._tanker, trim, heading_rad, 0.0, dt_s)
+        trim = self._start_tanker(airframe.trim.airspeed_m_s, heading_rad)
         weight_n = self._tanker.mass_kg * G
         self._wake = Wake(weight_n, self._tanker.air_density_kg_m3(), trim.speed_m_s) if wake else None
         self._uav = Fdm("ice101", UAV_INPUTS, dt_s, ALTITUDE_M)
@@ -66,15 +66,23 @@ class World:
         self._start_uav(airframe, p_ned_m, heading_rad)
         self._truth: Truth | None = None
 
+    def _start_tanker(self, speed_m_s: float, heading_rad: float) -> TankerTrim:
+        tanker, origin, course = self._tanker, (0.0, 0.0, 0.0), self._conditions.course
+        turning = None
+        if course.kind == "racetrack":
+            turning = trim_tanker(tanker, speed_m_s, origin, heading_rad, course.bank_rad)
+        trim = trim_tanker(tanker, speed_m_s, origin, heading_rad)
+        start_in_wind(tanker, trim.start(origin, heading_rad), self._wind)
+        dt_s = self._dt_ns * 1e-9
+        self._tanker_autopilot = TankerAutopilot(tanker, trim, heading_rad, 0.0, dt_s, course, turning, self._wind)
+        return trim
+
     def _start_uav(self, airframe: AirframeConfig, p_ned_m: Vec, heading_rad: float) -> None:
         alpha, speed = airframe.trim.alpha_rad, airframe.trim.airspeed_m_s
         self._uav.set_inputs((*self._actuators.position.tolist(), *CALM_WAKE))
         n, e, d = p_ned_m.tolist()
-        self._uav.reset(
-            InitialCondition(
-                (n, e, d), (speed * math.cos(alpha), 0.0, speed * math.sin(alpha)), (heading_rad, alpha, 0.0)
-            )
-        )
+        v_body = (speed * math.cos(alpha), 0.0, speed * math.sin(alpha))
+        start_in_wind(self._uav, InitialCondition((n, e, d), v_body, (heading_rad, alpha, 0.0)), self._wind)
 
     @property
     def truth(self) -> Truth:
@@ -104,10 +112,19 @@ class World:
         self.t_ns += self._dt_ns
 
     def _meet_gust(self, aircraft: Fdm) -> None:
+        wind_n, wind_e = self._wind.at(-aircraft.p_d)
         if self._gusts.calm:
+            aircraft.set_gust(wind_n, wind_e, 0.0)
             return
-        u, v, w = self._gusts.at(aircraft.p_n * self._cos + aircraft.p_e * self._sin)
-        aircraft.set_gust(u * self._cos - v * self._sin, u * self._sin + v * self._cos, w)
+        # Where the aircraft is in the air that drifts with the wind.
+        drift_n, drift_e = self._wind.at(0.0)
+        t_s = self.t_ns * 1e-9
+        north, east, down, p, q, r = self._gusts.at(
+            aircraft.p_n - drift_n * t_s, aircraft.p_e - drift_e * t_s, aircraft.p_d,
+            math.cos(aircraft.yaw), math.sin(aircraft.yaw), aircraft.span_m,
+        )
+        aircraft.set_gust(wind_n + north, wind_e + east, down)
+        aircraft.set_rotary_gust(p, q, r)
 
     def _wake_increments(self) -> tuple[float, ...]:
         if self._wake is None:

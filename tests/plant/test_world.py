@@ -108,11 +108,17 @@ def test_both_aircraft_meet_the_same_gusts_one_after_the_other(
     inside = (along_u > along_t[0] + 5) & (along_u < along_t[-1])
     for axis in range(3):
         seen = np.interp(along_u[inside], along_t, air_t[:, axis])
-        # A step is 1 m: the gust is set one step before it acts.
-        assert np.abs(seen - air_u[inside, axis]).max() < 0.25
+        # 20 m to the side and 30 m below the tanker's track: Dryden's correlation at 36 m is 0.90 to 0.93.
+        assert 0.1 < np.std(seen - air_u[inside, axis]) < 0.65
         assert air_t[:, axis].std() > 0.3
-    expected = GustField("light", np.random.default_rng(7))
-    np.testing.assert_allclose(air_t[2000, 2], expected.at(along_t[1999])[2], atol=1e-6)
+    expected = GustField("light", np.random.default_rng(7), 0.7)
+    for name, air, span_m in (("tanker", air_t, 39.88), ("uav", air_u, 11.43)):
+        n, e, d = getattr(truths[1999], name).p_ned_m
+        R = getattr(truths[1999], name).R_ned_body
+        yaw = math.atan2(R[1, 0], R[0, 0])
+        north, east, down, *_ = expected.at(n, e, d, math.cos(yaw), math.sin(yaw), span_m)
+        # The gust is set one step before it acts; the truth rounds through feet.
+        np.testing.assert_allclose(air[2000], (north, east, down), atol=1e-6)
 
 
 def test_mirrored_flight_is_the_mirror_image(make_world: MakeWorld, airframe: AirframeConfig) -> None:
