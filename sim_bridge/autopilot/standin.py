@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -11,10 +12,15 @@ from companion.geometry import Vec, rotation_from_euler
 from companion.messages import TankerState
 from sim_bridge.autopilot.inner_loops import InnerLoops, Sensed
 from sim_bridge.autopilot.navigation import DeadReckoner
+from sim_bridge.autopilot.regulator import SurfaceRegulator
+from sim_bridge.autopilot.setpoints import AttitudeCommand, OffsetCommand
 from sim_bridge.autopilot.telemetry import Origin
 from sim_bridge.autopilot.vehicle import Vehicle
 from sim_bridge.sensors import GpsFix, GpsSensor, InertialSample, InertialSensor, Triple
 from sim_bridge.truth import BodyState
+
+HAND_OVER_S = 0.5
+"""Time constant with which the last commands of one law go over into those of the other."""
 
 
 class Navigation:
@@ -33,6 +39,32 @@ class Navigation:
         return sample, self._reckoner.update(sample, fix), fix
 
 
+class HandOver:
+    """Keeps the effectors from jumping when the regulator takes over from the inner loops, or they from it."""
+
+    def __init__(self, fade: float) -> None:
+        """What is left of the difference is multiplied by ``fade`` at every step."""
+        self._fade = fade
+        self._regulated = False
+        self._begins = False
+        self._last: Vec | None = None
+        self._difference = np.zeros(10)
+
+    def begins(self, regulated: bool) -> bool:
+        """Tell whether another law flies from this step on."""
+        self._begins = regulated != self._regulated
+        self._regulated = regulated
+        return self._begins
+
+    def smooth(self, wanted: Vec) -> Vec:
+        """Return the commands (10,) for those that the law of this step wants."""
+        if self._begins and self._last is not None:
+            self._difference = self._last - wanted
+        self._last = wanted + self._difference
+        self._difference = self._fade * self._difference
+        return self._last
+
+
 class StandInAutopilot:
     """The receiver's autopilot: truth and bytes in, effector commands and bytes out, every ``dt_s``."""
 
@@ -43,6 +75,8 @@ class StandInAutopilot:
         self.vehicle = Vehicle(airframe, dt_s=dt_s, origin=origin)
         self._navigation = Navigation(rng)
         self._loops = InnerLoops(airframe, dt_s)
+        self._regulator = SurfaceRegulator(airframe, dt_s)
+        self._hand_over = HandOver(math.exp(-dt_s / HAND_OVER_S))
 
     @property
     def rejects(self) -> Counter[str]:
@@ -61,12 +95,23 @@ class StandInAutopilot:
             sample.t_ns, rotation_from_euler(*sample.euler_rad), np.array(sample.omega_rad_s),
             np.array(sample.v_ned_m_s),
         )
-        if command is None:
-            effectors = self._loops.hold_step(sensed)
-        else:
-            effectors = self._loops.step(command.roll_rad, command.pitch_rad, command.thrust, sensed)
+        self._regulator.watch(sample, sensed.R_ned_frd)
+        regulated = isinstance(command, OffsetCommand)
+        if self._hand_over.begins(regulated):
+            self._loops.reset()
+            self._regulator.reset()
+        effectors = self._hand_over.smooth(self._law_step(command, sample, sensed))
         self.vehicle.throttle = float(effectors[0])
         return effectors
+
+    def _law_step(
+        self, command: AttitudeCommand | OffsetCommand | None, sample: InertialSample, sensed: Sensed
+    ) -> Vec:
+        if command is None:
+            return self._loops.hold_step(sensed)
+        if isinstance(command, OffsetCommand):
+            return self._regulator.step(command, sample)
+        return self._loops.step(command.roll_rad, command.pitch_rad, command.thrust, sensed)
 
     def outgoing(self, t_ns: int) -> bytes:
         """Return the MAVLink frames that are due at ``t_ns``."""

@@ -21,11 +21,12 @@ from companion.config import AirframeConfig
 from companion.io.mavlink_codec import MavlinkCodec, Message, dialect
 from sim_bridge.autopilot.setpoints import (
     AttitudeCommand,
+    OffsetCommand,
     SetpointError,
     VelocityCommand,
     VelocityLoop,
     attitude_command,
-    velocity_command,
+    position_target_command,
 )
 from sim_bridge.autopilot.telemetry import DEFAULT_RATES_HZ, Builders, Origin, Snapshot, Timetable
 from sim_bridge.sensors import GpsFix, InertialSample, Triple
@@ -67,14 +68,14 @@ class Vehicle:
         self._builders = Builders(origin or Origin())
         self._timetable = Timetable(DEFAULT_RATES_HZ)
         self._replies: list[Message] = []
-        self._setpoint: AttitudeCommand | VelocityCommand | None = None
+        self._setpoint: AttitudeCommand | VelocityCommand | OffsetCommand | None = None
         self._setpoint_ns = 0
         self._lost = False
         self._seen: tuple[InertialSample, Triple | None, GpsFix | None] | None = None
         self._handlers: dict[str, Callable[[Message, int], None]] = {
             "SET_ATTITUDE_TARGET": lambda m, t_ns: self._take_setpoint(attitude_command, m, t_ns),
             "SET_POSITION_TARGET_LOCAL_NED": lambda m, t_ns: self._take_setpoint(
-                lambda m: velocity_command(m, t_ns), m, t_ns),
+                lambda m: position_target_command(m, t_ns), m, t_ns),
             "COMMAND_LONG": self._take_command,
             "COMMAND_INT": self._refuse_command,
             "TIMESYNC": self._take_timesync,
@@ -106,8 +107,8 @@ class Vehicle:
 
     def step(
         self, sample: InertialSample, p_ned_m: Triple | None, fix: GpsFix | None = None
-    ) -> AttitudeCommand | None:
-        """Take what is measured now; return what the inner loops shall fly, None to hold wings and speed."""
+    ) -> AttitudeCommand | OffsetCommand | None:
+        """Take what is measured now; return what inner loops or regulator shall fly, None to hold wings and speed."""
         if fix is None and self._seen is not None:
             fix = self._seen[2]
         self._seen = (sample, p_ned_m, fix)
@@ -149,7 +150,10 @@ class Vehicle:
         self._replies.append(dialect.MAVLink_statustext_message(severity, text.encode("ascii")))
 
     def _take_setpoint(
-        self, read: Callable[[Message], AttitudeCommand | VelocityCommand], message: Message, t_ns: int
+        self,
+        read: Callable[[Message], AttitudeCommand | VelocityCommand | OffsetCommand],
+        message: Message,
+        t_ns: int,
     ) -> None:
         """Obey a setpoint from now on, or count why not."""
         try:

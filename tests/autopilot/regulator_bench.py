@@ -1,0 +1,133 @@
+"""The regulator of the surfaces in a bare loop: plant, INS and offsets as the companion sends them, nothing else.
+
+``scan`` prints what weights do over some seeds; run this file for a table about the ones in force.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from companion.config import Setup
+from companion.geometry import Mat, Vec, rotation_from_euler
+from sim_bridge.autopilot.regulator import Cures, RegulatorWeights, SurfaceRegulator
+from sim_bridge.autopilot.setpoints import OffsetCommand
+from sim_bridge.plant.actuators import ActuatorConfig, default_channels
+from sim_bridge.plant.fdm import PlantError
+from sim_bridge.plant.world import World
+from sim_bridge.sensors import InertialSample, InertialSensor, Triple
+from sim_bridge.truth import BodyState, Truth
+
+DT_S = 0.005
+LOST_M = 30.0
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What the regulator meets. ``air_data``: V, alpha, beta as a probe would tell them. ``heading_of_tanker``: the
+    formation's heading is where the tanker points now, as the thesis has it, and not its course.
+    """
+
+    turbulence: str = "light"
+    wake: bool = True
+    air_data: bool = False
+    heading_of_tanker: bool = False
+    extra_actuator_delay_s: float = 0.0
+    offset_age_s: float = 0.03
+    offset_every: int = 4
+    fix_every: int = 10
+    fix_age_s: float = 0.03
+    fix_sigma_m: float = 0.01
+
+
+def actuators_with(extra_delay_s: float) -> ActuatorConfig:
+    return ActuatorConfig(tuple(replace(c, delay_s=c.delay_s + extra_delay_s) for c in default_channels()))
+
+
+class Loop:
+    """One flight that starts with the receptacle in the box."""
+
+    def __init__(self, setup: Setup, seed: int, conditions: Conditions) -> None:
+        gust, own, tanker, vision = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
+        self._c = conditions
+        self._box, self._arm = np.array(setup.tanker.box_tanker_m), np.array(setup.airframe.receptacle_frd_m)
+        self.world = World(
+            setup.tanker, setup.airframe, self._box - self._arm, conditions.turbulence, conditions.wake, gust,
+            actuators=actuators_with(conditions.extra_actuator_delay_s),
+        )  # fmt: skip
+        self._own, self._tanker, self._vision = InertialSensor(own), InertialSensor(tanker), vision
+        self._fixes: deque[tuple[int, Vec]] = deque()
+        self._sent: deque[tuple[int, OffsetCommand]] = deque()
+        self._travel, self._fix = np.zeros(3), np.zeros(3)
+        self._k = 0
+        self._command: OffsetCommand | None = None
+
+    def br(self, truth: Truth) -> Vec:
+        uav, tanker = truth.uav, truth.tanker
+        return uav.p_ned_m + uav.R_ned_body @ self._arm - tanker.p_ned_m - tanker.R_ned_body @ self._box
+
+    def offset(self, truth: Truth, sample: InertialSample) -> OffsetCommand | None:
+        """Return what the companion would have sent last: a fix of some age, carried on by both velocities."""
+        c, k = self._c, self._k
+        told = self._tanker.sample(truth.tanker)
+        if self._command is None or k % c.offset_every == 0:
+            self._place_v = told.v_ned_m_s
+        self._travel = self._travel + DT_S * (np.array(sample.v_ned_m_s) - self._place_v)
+        here = self._travel + rotation_from_euler(*sample.euler_rad) @ self._arm
+        if k % c.fix_every == 0:
+            fix = self.br(truth) + c.fix_sigma_m * self._vision.standard_normal(3)
+            self._fixes.append((k + round(c.fix_age_s / DT_S) * (k > 0), fix - here))
+        while self._fixes and self._fixes[0][0] <= k:
+            self._fix = self._fixes.popleft()[1]
+        if k % c.offset_every == 0:
+            heading = told.euler_rad[0] if c.heading_of_tanker else 0.0
+            x, y, z = (-(self._fix + here)).tolist()
+            command = OffsetCommand(truth.t_ns, (x, y, z), self._place_v, heading)
+            self._sent.append((k + round(c.offset_age_s / DT_S) * (k > 0), command))
+        while self._sent and self._sent[0][0] <= k:
+            self._command = self._sent.popleft()[1]
+        self._k += 1
+        return self._command
+
+    def fly(self, regulator: SurfaceRegulator, seconds: float) -> Mat:
+        """Return BR (n, 3) every step; shorter than asked for when the receiver was lost."""
+        track = []
+        for _ in range(round(seconds / DT_S)):
+            truth = self.world.truth
+            sample = self._own.sample(truth.uav)
+            regulator.watch(sample, rotation_from_euler(*sample.euler_rad))
+            command = self.offset(truth, sample)
+            assert command is not None
+            track.append(self.br(truth))
+            if np.abs(track[-1]).max() > LOST_M:
+                break
+            if self._c.air_data:
+                sample = with_air_data(sample, truth.uav)
+            try:
+                self.world.step(regulator.step(command, sample))
+            except PlantError:
+                break
+        return np.array(track)
+
+
+def with_air_data(sample: InertialSample, truth: BodyState) -> InertialSample:
+    """Return the sample with V, alpha and beta of the motion through the air, gusts included."""
+    u, v, w = truth.v_air_body_m_s.tolist()
+    speed = float(np.sqrt(u * u + v * v + w * w))
+    return replace(sample, speed_m_s=speed, alpha_rad=float(np.arctan2(w, u)), beta_rad=float(np.arcsin(v / speed)))
+
+
+def fly(
+    setup: Setup, seed: int, seconds: float, weights: RegulatorWeights | None = None, cures: Cures | None = None,
+    **conditions: object,
+) -> Mat:  # fmt: skip
+    """Return BR (n, 3) of one flight; ``conditions`` as in ``Conditions``."""
+    regulator = SurfaceRegulator(setup.airframe, DT_S, weights, cures)
+    return Loop(setup, seed, Conditions(**conditions)).fly(regulator, seconds)
+
+
+def share_inside(br: Mat, half_m: Triple, seconds: float) -> float:
+    """Return the share of the asked time that was flown inside +-half_m."""
+    return float((np.abs(br) <= np.array(half_m)).all(axis=1).sum()) / round(seconds / DT_S)
