@@ -20,6 +20,7 @@ frame      meaning
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,9 @@ Mat = NDArray[np.float64]
 
 R_cam_crf: Mat = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """Thesis camera axes (forward, right, down) to optical axes (right, down, forward)."""
+
+IDENTITY: Mat = np.eye(3)
+IDENTITY.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,16 +74,15 @@ class SE3:
 
 def rotation_from_euler(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Mat:
     """Return ``R_ned_body`` for the aerospace angles psi, theta, phi."""
-    cps, sps = np.cos(yaw_rad), np.sin(yaw_rad)
-    cth, sth = np.cos(pitch_rad), np.sin(pitch_rad)
-    cph, sph = np.cos(roll_rad), np.sin(roll_rad)
-    return np.array(
-        [
-            [cth * cps, sph * sth * cps - cph * sps, cph * sth * cps + sph * sps],
-            [cth * sps, sph * sth * sps + cph * cps, cph * sth * sps - sph * cps],
-            [-sth, sph * cth, cph * cth],
-        ]
-    )
+    cps, sps = math.cos(yaw_rad), math.sin(yaw_rad)
+    cth, sth = math.cos(pitch_rad), math.sin(pitch_rad)
+    cph, sph = math.cos(roll_rad), math.sin(roll_rad)
+    # Here and below: plain floats row by row in one tuple, over which numpy is quicker than over its own in lists.
+    return np.array((
+        cth * cps, sph * sth * cps - cph * sps, cph * sth * cps + sph * sps,
+        cth * sps, sph * sth * sps + cph * cps, cph * sth * sps - sph * cps,
+        -sth, sph * cth, cph * cth,
+    )).reshape(3, 3)  # fmt: skip
 
 
 def euler_from_rotation(R_ned_body: Mat) -> tuple[float, float, float]:
@@ -100,18 +103,16 @@ def rotation_from_quaternion(q_wxyz: Vec) -> Mat:
     tells a wrong message from a rounded one.
     """
     q = np.asarray(q_wxyz, dtype=np.float64)
-    norm = float(np.sqrt(q @ q))
+    norm = math.sqrt(q @ q)
     if not 0.9 < norm < 1.1:  # also false for NaN
         msg = f"quaternion norm {norm:.3g} is not 1"
         raise ValueError(msg)
-    w, x, y, z = q / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, x, y, z = (q / norm).tolist()
+    return np.array((
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )).reshape(3, 3)  # fmt: skip
 
 
 def quaternion_from_rotation(R: Mat) -> Vec:
@@ -119,31 +120,31 @@ def quaternion_from_rotation(R: Mat) -> Vec:
 
     Picks the largest of the four squared components first (Shepperd 1978), so it is exact near half turns too.
     """
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    squares = np.array([trace, R[0, 0], R[1, 1], R[2, 2]])
-    k = int(np.argmax(squares))
-    if k == 0:
-        q = np.array([1.0 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    elif k == 1:
-        q = np.array([R[2, 1] - R[1, 2], 1.0 + 2 * R[0, 0] - trace, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]])
-    elif k == 2:
-        q = np.array([R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1.0 + 2 * R[1, 1] - trace, R[1, 2] + R[2, 1]])
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = R.tolist()
+    trace = r00 + r11 + r22
+    largest = max(trace, r00, r11, r22)
+    if largest == trace:
+        q = np.array((1.0 + trace, r21 - r12, r02 - r20, r10 - r01))
+    elif largest == r00:
+        q = np.array((r21 - r12, 1.0 + 2 * r00 - trace, r01 + r10, r02 + r20))
+    elif largest == r11:
+        q = np.array((r02 - r20, r01 + r10, 1.0 + 2 * r11 - trace, r12 + r21))
     else:
-        q = np.array([R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 + 2 * R[2, 2] - trace])
-    q /= np.sqrt(q @ q)
+        q = np.array((r10 - r01, r02 + r20, r12 + r21, 1.0 + 2 * r22 - trace))
+    q /= math.sqrt(q @ q)
     return q if q[0] >= 0 else -q
 
 
 def exp_so3(rotation_vector_rad: Vec) -> Mat:
     """Return the rotation by the angle and about the axis of a (3,) rotation vector (Rodrigues)."""
     v = np.asarray(rotation_vector_rad, dtype=np.float64)
-    angle = float(np.sqrt(v @ v))
+    angle = math.sqrt(v @ v)
     K = skew(v)
     if angle < 1e-8:
-        return np.eye(3) + K + 0.5 * (K @ K)
-    a = np.sin(angle) / angle
-    b = (1.0 - np.cos(angle)) / (angle * angle)
-    return np.eye(3) + a * K + b * (K @ K)
+        return IDENTITY + K + 0.5 * (K @ K)
+    a = math.sin(angle) / angle
+    b = (1.0 - math.cos(angle)) / (angle * angle)
+    return IDENTITY + a * K + b * (K @ K)
 
 
 def log_so3(R: Mat) -> Vec:
@@ -157,4 +158,5 @@ def log_so3(R: Mat) -> Vec:
 
 def skew(v: Vec) -> Mat:
     """Return the matrix of the cross product: ``skew(v) @ x == np.cross(v, x)``."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    x, y, z = np.asarray(v).tolist()
+    return np.array((0.0, -z, y, z, 0.0, -x, -y, x, 0.0)).reshape(3, 3)
