@@ -25,7 +25,8 @@ import struct
 from binascii import crc_hqx
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, fields
+from operator import attrgetter
 
 import numpy as np
 
@@ -96,6 +97,10 @@ class TankerFrame:
         )
 
 
+values_of = attrgetter(*(field.name for field in fields(TankerFrame)))
+"""The 13 values of a frame in their order."""
+
+
 def frame_of(state: TankerState, altitude0_m: float = 0.0) -> TankerFrame:
     """Return the values that tell ``state``, stamped on GPS time, with the local origin at ``altitude0_m``."""
     u, v, w = (float(c) for c in state.R_ned_tanker.T @ state.v_ned_m_s)
@@ -118,7 +123,7 @@ def encode_frame(state: TankerState, altitude0_m: float = 0.0) -> bytes:
 
     Raises ValueError when a value is not finite or out of range.
     """
-    values = astuple(frame_of(state, altitude0_m))
+    values: tuple[float, ...] = values_of(frame_of(state, altitude0_m))
     fault = fault_of(values)
     if fault:
         msg = f"tanker state cannot be sent: {fault}"
@@ -200,13 +205,13 @@ class TankerReceiver:
 
     def receive(self, data: bytes, now_ns: int, offset_ns: int | None) -> list[Event]:
         """Take bytes at ``now_ns`` (companion's base); ``offset_ns`` is GPS clock minus companion's clock."""
-        before = self.parser.rejects.copy()
+        before = dict(self.parser.rejects)
         frames = self.parser.feed(data)
-        events: list[Event] = [
-            Reject(now_ns, SOURCE, reason, f"{count} in {len(data)} bytes")
-            for reason, count in (self.parser.rejects - before).items()
-        ]
-        events.extend(self._event(frame, now_ns, offset_ns) for frame in frames)
+        events: list[Event] = []
+        if before != dict(self.parser.rejects):
+            lost = self.parser.rejects - Counter(before)
+            events += [Reject(now_ns, SOURCE, reason, f"{n} in {len(data)} bytes") for reason, n in lost.items()]
+        events += [self._event(frame, now_ns, offset_ns) for frame in frames]
         return events
 
     def _event(self, frame: TankerFrame, now_ns: int, offset_ns: int | None) -> Event:

@@ -13,6 +13,7 @@ Rules
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 from companion.config import LinksConfig
@@ -84,11 +85,11 @@ class AutopilotLink:
 
         ``from_autopilot`` False: the bytes came another way than the autopilot's do, so no telemetry is believed.
         """
-        before = self.codec.rejects.copy()
+        before = dict(self.codec.rejects)
         frames = self.codec.feed(data)
         events, self._refused = self._refused, []
-        if before != self.codec.rejects:
-            lost = self.codec.rejects - before
+        if before != dict(self.codec.rejects):
+            lost = self.codec.rejects - Counter(before)
             events.extend(Reject(now_ns, SOURCE, reason, f"{count} in one read") for reason, count in lost.items())
         for message, frame in frames:
             if self._on_bytes is not None:
