@@ -192,8 +192,9 @@ class FusedPose:
 class RelativeState:
     """Where the receiver is relative to the box, at one instant; what guidance flies on.
 
-    ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) the difference of the two centres'
-    inertial velocities (so that neither aircraft's rotation looks like speed); ``v_ned_tanker_m_s`` (3,) the tanker's.
+    ``p_mrf_br_m`` (3,) vector from box B to receptacle R; ``v_mrf_br_m_s`` (3,) velocity of the receiver's centre of
+    mass against the box, as seen in the turning frame. ``v_ned_box_m_s``, ``a_ned_box_m_s2`` (3,) inertial velocity and
+    acceleration of the box; ``heading0_rad`` nominal heading of the tanker (the frame's), ``turn_rate_rad_s`` its rate.
     ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the oldest sample that the estimate rests on.
     """
 
@@ -201,10 +202,12 @@ class RelativeState:
     estimate_t_ns: int
     p_mrf_br_m: Vec
     v_mrf_br_m_s: Vec
-    v_ned_tanker_m_s: Vec
+    v_ned_box_m_s: Vec
+    a_ned_box_m_s2: Vec
     R_ned_frd: Mat
     omega_frd_rad_s: Vec
     heading0_rad: float
+    turn_rate_rad_s: float
     T_cam_tanker: SE3
     range_m: float
     vision_weight: float

@@ -196,6 +196,7 @@ def companion_rules(c: CompanionConfig) -> Rules:
          "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
         (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
         (0 <= g.link_delay_s <= 1, "guidance.link_delay_s must be in 0..1 seconds"),
+        (0 < g.disturbance_rad_s <= 20, "guidance.disturbance_rad_s must be in 0..20 radians per second"),
         (0 < c.vision.detection.threshold < 256, "vision.detection.threshold must be in 1..255"),
         (1 <= c.vision.detection.min_area_px <= c.vision.detection.max_area_px,
          "vision.detection.min_area_px must be in 1..max_area_px pixels"),

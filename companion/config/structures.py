@@ -73,13 +73,89 @@ class WindowConfig(Struct, frozen=True, kw_only=True):
     limit_m: Vec3 = (2.10, 2.10, 2.56)
 
 
+class BoomTubes(Struct, frozen=True, kw_only=True):
+    """The outer tube of a boom, from its pivot, and the inner one that telescopes out of it.
+
+    ``outer_com_m`` from the pivot, ``inner_com_m`` from the nozzle. ``cross_drag``: drag of a metre of tube across the
+    flow over dynamic pressure and diameter; ``skin_friction`` over wetted area, along it.
+    """
+
+    outer_length_m: float = 8.5
+    outer_diameter_m: float = 0.58
+    outer_mass_kg: float = 500.0
+    outer_com_m: float = 4.4
+    inner_length_m: float = 8.0
+    inner_diameter_m: float = 0.23
+    inner_mass_kg: float = 250.0
+    inner_com_m: float = 3.8
+    cross_drag: float = 0.4
+    skin_friction: float = 0.004
+
+
+class Ruddevators(Struct, frozen=True, kw_only=True):
+    """The two control surfaces of a boom's V-tail; ``area_m2`` of one, ``at_m`` from the pivot, lift per rad.
+
+    Without deflection they make no lift at the boom's nominal elevation in level flow.
+    """
+
+    area_m2: float = 2.2
+    at_m: float = 5.7
+    dihedral_rad: float = math.radians(42.0)
+    lift_slope: float = 3.0
+    max_lift: float = 1.0
+    drag: float = 0.015
+    induced_drag: float = 0.18
+    limit_rad: float = math.radians(25.0)
+    rate_rad_s: float = math.radians(60.0)
+    lag_s: float = 0.05
+
+
+class BoomDrive(Struct, frozen=True, kw_only=True):
+    """The drive of the telescope, and what the joints rub: ``friction_n`` dry, ``hinge_n_m_s`` per rad/s."""
+
+    force_n: float = 10_000.0
+    rate_m_s: float = 1.0
+    friction_n: float = 300.0
+    hinge_n_m_s: float = 500.0
+
+
+class BoomEnvelope(Struct, frozen=True, kw_only=True):
+    """Where a boom may refuel, beyond which it disconnects, and where its stops are; ``extension`` of the telescope."""
+
+    elevation_rad: tuple[float, float] = (math.radians(20.0), math.radians(40.0))
+    azimuth_rad: float = math.radians(10.0)
+    extension_m: tuple[float, float] = (1.8, 5.5)
+    stop_elevation_rad: tuple[float, float] = (math.radians(10.0), math.radians(50.0))
+    stop_azimuth_rad: float = math.radians(15.0)
+    stop_extension_m: float = 6.1
+
+
+class NozzleConfig(Struct, frozen=True, kw_only=True):
+    """When the nozzle latches, how stiffly it sits in the receptacle, and at what load it is torn out."""
+
+    capture_m: float = 0.15
+    capture_speed_m_s: float = 1.0
+    stiffness_n_m: float = 150_000.0
+    damping_n_s_m: float = 7_500.0
+    break_load_n: float = 30_000.0
+
+
 class BoomConfig(Struct, frozen=True, kw_only=True):
-    """Where the boom hangs: pivot in tanker axes, nominal angles and length."""
+    """Where the boom hangs: pivot in tanker axes, nominal angles and length; how it is made.
+
+    ``ready_length_m``: pivot to nozzle while the operator keeps it clear of a receiver.
+    """
 
     pivot_tanker_m: Vec3
     elevation_rad: float = math.radians(30.0)
     azimuth_rad: float = 0.0
     length_m: float = 11.5
+    ready_length_m: float = 10.3
+    tubes: BoomTubes = BoomTubes()
+    ruddevators: Ruddevators = Ruddevators()
+    drive: BoomDrive = BoomDrive()
+    envelope: BoomEnvelope = BoomEnvelope()
+    nozzle: NozzleConfig = NozzleConfig()
 
 
 class TankerConfig(Struct, frozen=True, kw_only=True):
@@ -247,18 +323,22 @@ class LawWeights(Struct, frozen=True, kw_only=True):
     int_x: float = 0.05
     int_y: float = 0.05
     int_z: float = 0.05
-    roll: float = 150.0
+    roll: float = 60.0
     pitch: float = 400.0
     thrust: float = 2.0
 
 
 class GuidanceConfig(Struct, frozen=True, kw_only=True):
-    """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot."""
+    """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot.
+
+    ``disturbance_rad_s``: bandwidth of the observer of gusts, wake and trim errors (``companion.guidance.disturbance``).
+    """
 
     law: Literal["attitude", "velocity", "surfaces"] = "attitude"
     rate_hz: float = 50.0
     weights: LawWeights = LawWeights()
     link_delay_s: float = 0.0
+    disturbance_rad_s: float = 3.0
     auto_engage: bool = False
     path_duration_s: float = 50.0
     join_settle_s: float = 3.0

@@ -21,6 +21,7 @@ has commanded is remembered cut to the envelope, so a saturated command does not
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import control
@@ -28,13 +29,16 @@ import numpy as np
 from scipy.linalg import expm
 
 from companion.config import AirframeConfig, ConfigError, GuidanceConfig
-from companion.geometry import Mat, Vec, euler_from_rotation
+from companion.geometry import Mat, Vec, euler_from_rotation, rotation_from_euler
+from companion.guidance.disturbance import Disturbance
+from companion.guidance.feed_forward import GRAVITY_M_S2, FeedForward, place
 from companion.guidance.path import Reference
 from companion.messages import AttitudeSetpoint, RelativeState
 
-GRAVITY_M_S2 = 9.80665
 V, ALPHA, Q, THETA = 0, 1, 4, 7  # rows of the airframe's A and B
 THROTTLE = 0
+FAR_M = 4.0
+"""An error counts no more than this: from afar it comes with the speed that this is worth, and does not swing past."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +94,9 @@ def longitudinal_model(airframe: AirframeConfig) -> tuple[Mat, Mat]:
     a, b = np.array(airframe.A), np.array(airframe.B)
     r, V0 = airframe.response, airframe.trim.airspeed_m_s
     A, B = np.zeros((9, 9)), np.zeros((9, 2))
+    rx, _, rz = airframe.receptacle_frd_m
     A[0, 2] = A[1, 3] = A[7, 0] = A[8, 1] = 1.0
+    A[0, 5], A[1, 5] = rz, -rx
     A[2, 2:7] = [a[V, V], a[V, ALPHA] / V0, a[V, ALPHA] + a[V, THETA], a[V, Q], b[V, THROTTLE]]
     A[3, 2:7] = [V0 * a[ALPHA, V], a[ALPHA, ALPHA], V0 * (a[ALPHA, ALPHA] + a[ALPHA, THETA]),
                  V0 * (a[ALPHA, Q] - 1.0), V0 * b[ALPHA, THROTTLE]]
@@ -104,9 +110,10 @@ def longitudinal_model(airframe: AirframeConfig) -> tuple[Mat, Mat]:
 
 def lateral_model(airframe: AirframeConfig) -> tuple[Mat, Mat]:
     """Return A (5, 5), B (5, 1) over [e_y, v_y, phi, p, int e_y]."""
-    r = airframe.response
+    r, (_, _, rz) = airframe.response, airframe.receptacle_frd_m
     A, B = np.zeros((5, 5)), np.zeros((5, 1))
     A[0, 1] = A[4, 0] = 1.0
+    A[0, 3] = -rz
     A[1, 2] = GRAVITY_M_S2
     A[2, 3] = 1.0
     A[3, 2:4] = [-(r.roll_rad_s**2), -2.0 * r.roll_damping * r.roll_rad_s]
@@ -122,11 +129,14 @@ class _Channel:
         self._low, self._high = low, high
         self._sent = np.zeros(regulator.delay_steps * regulator.inputs)
 
-    def step(self, x: Vec) -> tuple[Vec, Vec, Vec]:
-        """Return the command (deviation from trim) inside its limits, the one that acts now, and what was cut off."""
-        u = -self._r.K @ np.concatenate([x, self._sent])
+    def step(self, x: Vec, ahead: Vec) -> tuple[Vec, Vec, Vec]:
+        """Return the command (from trim) inside its limits, what feedback acts with now, and what was cut off.
+
+        ``ahead`` is fed forward; the delayed commands that the regulator remembers are what feedback adds to it.
+        """
+        u = ahead - self._r.K @ np.concatenate([x, self._sent])
         command = np.clip(u, self._low, self._high)
-        queue = np.concatenate([self._sent, command])
+        queue = np.concatenate([self._sent, command - ahead])
         acting, self._sent = queue[: self._r.inputs], queue[self._r.inputs :]
         return command, acting, u - command
 
@@ -147,6 +157,12 @@ class DockingLaw:
         delay_s = airframe.response.delay_s + config.link_delay_s
         self._lon = regulator(*longitudinal_model(airframe), lon_Q, np.array([w.pitch, w.thrust]), self._dt, delay_s)
         self._lat = regulator(*lateral_model(airframe), lat_Q, np.array([w.roll]), self._dt, delay_s)
+        r = airframe.response
+        self._lead_s = r.delay_s + config.link_delay_s + np.array(
+            [2.0 * r.roll_damping / r.roll_rad_s, 2.0 * r.pitch_damping / r.pitch_rad_s, r.thrust_lag_s]
+        )
+        self._ahead = FeedForward(airframe, self._dt)
+        self._disturbance = Disturbance(airframe, config.disturbance_rad_s, self._dt)
         self.reset()
 
     def reset(self) -> None:
@@ -156,31 +172,43 @@ class DockingLaw:
         low, high = np.array([-pitch, -trim.throttle]), np.array([pitch, 1.0 - trim.throttle])
         self._lon_channel = _Channel(self._lon, low, high)
         self._lat_channel = _Channel(self._lat, np.array([-roll]), np.array([roll]))
+        self._ahead.reset()
+        self._disturbance.reset()
         self.integral_m_s = np.zeros(3)
         self._thrust = 0.0  # the lagged thrust, from our own commands: the autopilot does not report it
 
     def step(self, state: RelativeState, reference: Reference) -> AttitudeSetpoint:
         """Return the setpoint for a relative state and where BR should be."""
-        e = state.p_mrf_br_m - reference.p_m
+        e = np.clip(state.p_mrf_br_m - reference.p_m, -FAR_M, FAR_M)
         v = state.v_mrf_br_m_s - reference.v_m_s
         yaw, pitch, roll = euler_from_rotation(state.R_ned_frd)
+        at, R_ned_mrf = place(state, reference), rotation_from_euler(state.heading0_rad, 0.0, 0.0)
+        d = self._disturbance.step(at.v_ned_m_s + R_ned_mrf @ v, (yaw, pitch, roll), self._thrust)
+        climb = -float(at.v_ned_m_s[2]) / self._airframe.trim.airspeed_m_s
+        ref, rate = self._ahead.step(R_ned_mrf.T @ (at.a_ned_m_s2 - d), climb)
         p, q, _ = state.omega_frd_rad_s
-        trim = self._airframe.trim
-        i = self.integral_m_s
-        lon = np.array([e[0], e[2], v[0], v[2], pitch - trim.alpha_rad, q, self._thrust, i[0], i[2]])
-        lat = np.array([e[1], v[1], roll, p, i[1]])
-        (d_pitch, d_thrust), acting, lon_cut = self._lon_channel.step(lon)
-        (roll_cmd,), _, lat_cut = self._lat_channel.step(lat)
-        held = (
+        trim, i = self._airframe.trim, self.integral_m_s
+        pitch_off, q_off = pitch - trim.alpha_rad - ref[1], q - self._turn_q(state, roll) - rate[1]
+        lon = np.array([e[0], e[2], v[0], v[2], pitch_off, q_off, self._thrust - ref[2], i[0], i[2]])
+        lat = np.array([e[1], v[1], roll - ref[0], p - rate[0], i[1]])
+        lead = ref + self._lead_s * rate
+        (d_pitch, d_thrust), acting, lon_cut = self._lon_channel.step(lon, lead[1:])
+        (roll_cmd,), _, lat_cut = self._lat_channel.step(lat, lead[:1])
+        held = np.array([
             self._lon_channel.pushes(7, 1, lon_cut, e[0]),
             self._lat_channel.pushes(4, 0, lat_cut, e[1]),
             self._lon_channel.pushes(8, 0, lon_cut, e[2]),
-        )
-        self.integral_m_s = self.integral_m_s + np.where(held, 0.0, e * self._dt)
-        self._follow(float(acting[1]))
+        ])
+        self.integral_m_s = self.integral_m_s + np.where(held | (np.abs(e) == FAR_M), 0.0, e * self._dt)
+        self._follow(float(acting[1] + ref[2]))
         return AttitudeSetpoint(
             state.t_ns, float(roll_cmd), trim.alpha_rad + float(d_pitch), yaw, trim.throttle + float(d_thrust)
         )
+
+    @staticmethod
+    def _turn_q(state: RelativeState, roll_rad: float) -> float:
+        """Return the pitch rate of the formation's steady turn."""
+        return state.turn_rate_rad_s * math.sin(roll_rad)
 
     def _follow(self, acting_thrust: float) -> None:
         follow = 1.0 - np.exp(-self._dt / self._airframe.response.thrust_lag_s)

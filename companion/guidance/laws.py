@@ -8,6 +8,7 @@ import numpy as np
 
 from companion.config import AirframeConfig, GuidanceConfig
 from companion.geometry import Vec, rotation_from_euler
+from companion.guidance.feed_forward import place
 from companion.guidance.law import DockingLaw
 from companion.guidance.path import Reference
 from companion.messages import OffsetSetpoint, RelativeState, Setpoint
@@ -40,9 +41,8 @@ class OffsetLaw:
         """Return the way to go and the velocity of the place to be at; see ``Law.step``."""
         R_ned_mrf = rotation_from_euler(state.heading0_rad, 0.0, 0.0)
         offset = R_ned_mrf @ (reference.p_m - state.p_mrf_br_m)
-        velocity = state.v_ned_tanker_m_s + R_ned_mrf @ reference.v_m_s
         x, y, z = offset.tolist()
-        v_n, v_e, v_d = velocity.tolist()
+        v_n, v_e, v_d = place(state, reference).v_ned_m_s.tolist()
         return OffsetSetpoint(state.t_ns, (x, y, z), (v_n, v_e, v_d), state.heading0_rad)
 
 

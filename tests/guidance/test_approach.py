@@ -52,7 +52,7 @@ def state_at(t_ns, p_m=STATION_M, age_s=0.0, v_m_s=(0.0, 0.0, 0.0)):
     pitch = shipped().airframe.trim.alpha_rad
     return RelativeState(
         t_ns, t_ns - round(age_s * S), np.array(p_m, float), np.array(v_m_s, float), np.array([205.7, 0.0, 0.0]),
-        rotation_from_euler(0.1, pitch, 0.02), np.zeros(3), 0.0, SE3.identity(), 20.0,
+        np.zeros(3), rotation_from_euler(0.1, pitch, 0.02), np.zeros(3), 0.0, 0.0, SE3.identity(), 20.0,
         1.0, 9,
     )
 

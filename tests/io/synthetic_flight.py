@@ -156,7 +156,7 @@ def guidance_step(flight: Flight, t_ns: int, phase: Phase) -> Iterator[tuple[str
     yield "in", Tick(t_ns)
     yield "out", RelativeState(
         t_ns, t_ns, flight.br(t) + 0.04 * np.sin(np.array([3.0, 4.0, 5.0]) * t), np.zeros(3), np.zeros(3),
-        flight.uav(t).R, np.zeros(3), heading, T_cam_tanker,
+        np.zeros(3), flight.uav(t).R, np.zeros(3), heading, 0.0, T_cam_tanker,
         float(np.linalg.norm(T_cam_tanker.t)), weight(t), 8,
     )  # fmt: skip
     setpoint = AttitudeSetpoint(t_ns, 0.05 * np.sin(0.5 * t), 0.05 + 0.01 * np.sin(0.8 * t), HEADING, 0.3)

@@ -1,0 +1,93 @@
+"""How the refuelling box moves: its velocity and acceleration now, and the turn of the formation.
+
+The box is fixed in tanker axes, so that gusts that yaw and pitch the tanker move it, by a lever of 27 m. What the tanker
+tells of itself gives the velocity of the box, v_box = v + R (omega x r); its acceleration is told by the tanker's bank,
+g tan(phi) to the right (a coordinated turn), and by what the velocity shows beyond that::
+
+    v' = a_bank + d + (share of the innovation),  d' = (share of the innovation)
+
+a critically damped observer of bandwidth ``BOX_RAD_S``; reports are old by the link's delay and are carried on to now.
+
+The psi frame (``mrf``) turns with the *nominal* heading: the tanker's own, averaged over ``HEADING_S``, led by the rate
+of the turn, which is the acceleration across the course over the speed over ground, averaged over ``TURN_S``. In wind
+the nose points off the course; the frame goes with the nose, since boom and box do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.geometry import Mat, Vec, euler_from_rotation
+from companion.messages import NS
+
+GRAVITY_M_S2 = 9.80665
+BOX_RAD_S = 5.0
+"""Bandwidth of the observer: noise of the reported velocity (0.04 m/s, held 50 ms) against the tanker's gusts."""
+HEADING_S = 10.0
+"""Time constant with which the nominal heading follows the tanker's nose."""
+TURN_S = 1.5
+"""Time constant of the formation's turn rate."""
+LONGEST_GAP_S = 1.0
+"""After a longer silence of the datalink the observer starts afresh."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxMotion:
+    """Velocity and acceleration (3,) of the box in ``ned``; nominal heading and its rate."""
+
+    v_ned_m_s: Vec
+    a_ned_m_s2: Vec
+    heading0_rad: float
+    turn_rate_rad_s: float
+
+
+class BoxObserver:
+    """Turns the tanker's reports into ``BoxMotion`` at any instant after them."""
+
+    def __init__(self, box_tanker_m: Vec, bandwidth_rad_s: float = BOX_RAD_S) -> None:
+        self._box_tanker_m = box_tanker_m
+        self._w = bandwidth_rad_s
+        self._t_ns: int | None = None
+        self._v, self._beyond, self._bank = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._heading = self._turn = 0.0
+
+    def is_new(self, t_ns: int) -> bool:
+        """Tell whether a report is newer than the last."""
+        return self._t_ns is None or t_ns > self._t_ns
+
+    def update(self, t_ns: int, v_ned_m_s: Vec, R_ned_tanker: Mat, omega_tanker_rad_s: Vec) -> None:
+        """Take a report that is newer than the last."""
+        v_box = v_ned_m_s + R_ned_tanker @ np.cross(omega_tanker_rad_s, self._box_tanker_m)
+        yaw, _, roll = euler_from_rotation(R_ned_tanker)
+        bank = GRAVITY_M_S2 * math.tan(min(max(roll, -1.2), 1.2)) * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+        dt = math.inf if self._t_ns is None else (t_ns - self._t_ns) * NS
+        if dt > LONGEST_GAP_S:
+            self._v, self._beyond, self._bank = v_box, np.zeros(3), bank
+            self._heading, self._turn = yaw, 0.0
+        else:
+            fade = math.exp(-self._w * dt)
+            predicted = self._v + dt * (self._beyond + 0.5 * (self._bank + bank))
+            innovation = v_box - predicted
+            self._v = predicted + (1.0 - fade * fade) * innovation
+            self._beyond = self._beyond + (1.0 - fade) ** 2 / dt * innovation
+            self._bank = bank
+            self._follow(dt, yaw)
+        self._t_ns = t_ns
+
+    def _follow(self, dt: float, yaw: float) -> None:
+        v, a = self._v, self._bank + self._beyond
+        rate = float(v[0] * a[1] - v[1] * a[0]) / max(float(v[0] * v[0] + v[1] * v[1]), 1.0)
+        self._turn += (1.0 - math.exp(-dt / TURN_S)) * (rate - self._turn)
+        ahead = self._heading + dt * self._turn
+        off = math.remainder(yaw - ahead, 2.0 * math.pi)
+        self._heading = math.remainder(ahead + (1.0 - math.exp(-dt / HEADING_S)) * off, 2.0 * math.pi)
+
+    def at(self, t_ns: int) -> BoxMotion:
+        """Return the motion at an instant; ``update`` comes before."""
+        ahead_s = 0.0 if self._t_ns is None else (t_ns - self._t_ns) * NS
+        a = self._bank + self._beyond
+        heading = math.remainder(self._heading + ahead_s * self._turn, 2.0 * math.pi)
+        return BoxMotion(self._v + ahead_s * a, a, heading, self._turn)
