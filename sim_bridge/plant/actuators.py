@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -46,6 +46,10 @@ class ActuatorConfig:
     """All ten channels, in the order of ``sim_bridge.truth.EFFECTORS``."""
 
     channels: tuple[Channel, ...] = field(default_factory=default_channels)
+
+    def with_delay(self, extra_s: float) -> ActuatorConfig:
+        """Return the same actuators, each later by ``extra_s``."""
+        return ActuatorConfig(tuple(replace(c, delay_s=c.delay_s + extra_s) for c in self.channels))
 
 
 class Actuators:

@@ -61,7 +61,11 @@ class World:
         weight_n = self._tanker.mass_kg * G
         self._wake = Wake(weight_n, self._tanker.air_density_kg_m3(), trim.speed_m_s) if wake else None
         self._uav = Fdm("ice101", UAV_INPUTS, dt_s, ALTITUDE_M)
-        self._actuators = Actuators(np.array(airframe.trim.effectors), dt_s, actuators)
+        errors = self._conditions.airframe
+        for name, factor in {**errors.coefficients, "effectiveness": errors.effectiveness}.items():
+            self._uav.scale_coefficient(name, factor)
+        slower = (actuators or ActuatorConfig()).with_delay(errors.actuator_delay_s)
+        self._actuators = Actuators(np.array(airframe.trim.effectors), dt_s, slower)
         p_ned_m = self._tanker.rotation() @ np.asarray(start_tanker_m, dtype=np.float64)
         self._start_uav(airframe, p_ned_m, heading_rad)
         self._truth: Truth | None = None
