@@ -38,7 +38,8 @@ class BodyState:
 class BoomState:
     """Boom: pivot (3,) in tanker axes, elevation below the tanker's x axis, azimuth (right positive), length.
 
-    ``contact``: the nozzle sits in the receptacle; ``given_kg`` the fuel that has gone through it.
+    ``contact``: the nozzle sits in the receptacle; ``given_kg`` the fuel that has gone through it. ``ruddevators_rad``:
+    deflection of the right and the left one, trailing edge down (which lifts the boom) positive.
     """
 
     pivot_tanker_m: Vec
@@ -47,6 +48,7 @@ class BoomState:
     length_m: float
     contact: bool = False
     given_kg: float = 0.0
+    ruddevators_rad: tuple[float, float] = (0.0, 0.0)
 
     def tip_tanker_m(self) -> Vec:
         """Return the boom's tip (3,) in tanker axes; the boom points aft and down."""

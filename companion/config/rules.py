@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.config.structures import (
     AirframeConfig,
+    BoomConfig,
     CameraConfig,
     CompanionConfig,
     CornerConfig,
@@ -103,6 +104,47 @@ def tanker_rules(t: TankerConfig) -> Rules:
         (len({c.id for c in t.corners}) == len(t.corners), "two corners have the same id"),
         (all(abs(v) <= FARTHEST_M for c in t.corners for v in c.p_tanker_m),
          f"corners: p_tanker_m must be within {FARTHEST_M:.0f} m (metres, not millimetres)"),
+        *boom_rules(t.boom),
+    ]
+
+
+def boom_rules(b: BoomConfig) -> Rules:
+    """Return what has to hold of a boom."""
+    t, v, e, n = b.tubes, b.ruddevators, b.envelope, b.nozzle
+    longest_m = t.outer_length_m + e.stop_extension_m
+    low, high = e.elevation_rad
+    stop_low, stop_high = e.stop_elevation_rad
+    drags = (t.cross_drag, t.skin_friction, v.drag, v.induced_drag, b.drive.friction_n, b.drive.hinge_n_m_s)
+    return [
+        (min(t.outer_mass_kg, t.inner_mass_kg) >= 10.0,
+         "boom.tubes: outer_mass_kg and inner_mass_kg must be at least 10 kilograms"),
+        (0 < t.outer_com_m < t.outer_length_m and 0 < t.inner_com_m < t.inner_length_m,
+         "boom.tubes: outer_com_m and inner_com_m must lie within outer_length_m and inner_length_m"),
+        (0 < t.inner_diameter_m <= t.outer_diameter_m <= 2.0,
+         "boom.tubes: inner_diameter_m must be positive and at most outer_diameter_m, that at most 2 metres"),
+        (min(drags) >= 0, "boom: drag and friction must not be negative"),
+        (0 < v.at_m <= t.outer_length_m, "boom.ruddevators.at_m must be in 0..outer_length_m metres"),
+        (min(v.area_m2, v.lift_slope, v.max_lift, v.rate_rad_s, v.lag_s) > 0,
+         "boom.ruddevators: area_m2, lift_slope, max_lift, rate_rad_s and lag_s must be positive"),
+        (0 < v.dihedral_rad < math.pi / 2 and 0 < v.limit_rad < math.pi / 4,
+         "boom.ruddevators: dihedral_rad must be in 0..pi / 2 and limit_rad in 0..pi / 4 (radians, not degrees)"),
+        (min(b.drive.force_n, b.drive.rate_m_s) > 0, "boom.drive: force_n and rate_m_s must be positive"),
+        (0 < stop_low < low < high < stop_high < math.pi / 2,
+         "boom.envelope: elevation_rad must rise and lie inside stop_elevation_rad, that in 0..pi / 2"),
+        (0 < e.azimuth_rad < e.stop_azimuth_rad < math.pi / 2,
+         "boom.envelope: azimuth_rad must be positive and inside stop_azimuth_rad (radians, not degrees)"),
+        (0 <= e.extension_m[0] < e.extension_m[1] <= e.stop_extension_m,
+         "boom.envelope: extension_m must rise and lie in 0..stop_extension_m"),
+        (e.stop_extension_m < t.inner_length_m,
+         "boom.envelope.stop_extension_m must be less than tubes.inner_length_m, or the telescope falls out"),
+        (stop_low < b.elevation_rad < stop_high and abs(b.azimuth_rad) < e.stop_azimuth_rad,
+         "boom: elevation_rad and azimuth_rad must lie inside the stops of boom.envelope (radians, not degrees)"),
+        (t.outer_length_m <= min(b.length_m, b.ready_length_m) and max(b.length_m, b.ready_length_m) <= longest_m,
+         f"boom: length_m and ready_length_m must be in {t.outer_length_m:g}..{longest_m:g} metres, as its tubes are"),
+        (min(n.capture_m, n.capture_speed_m_s, n.break_load_n) > 0,
+         "boom.nozzle: capture_m, capture_speed_m_s and break_load_n must be positive"),
+        (0 < n.stiffness_n_m <= 1e6 and 0 <= n.damping_n_s_m <= 2e4,
+         "boom.nozzle: stiffness_n_m must be in 0..1e6 and damping_n_s_m in 0..2e4, or 5 ms steps cannot follow"),
     ]
 
 
