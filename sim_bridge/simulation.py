@@ -77,12 +77,12 @@ class Camera:
         if truth.t_ns < self._next_ns:
             return
         self._next_ns += self._period_ns
-        pose = (truth.tanker.T_ned_body(), truth.uav.T_ned_body(), truth.boom)
+        states = (truth.tanker, truth.uav, truth.boom)
         if self._executor is not None:
-            picture = self._executor.submit(self._picture.render, *pose)
+            picture = self._executor.submit(self._picture.expose, *states)
         else:
             picture = Future()
-            picture.set_result(self._picture.render(*pose))
+            picture.set_result(self._picture.expose(*states))
         self._under_way.append((truth.t_ns, self._sequence, picture))
         self._sequence += 1
 

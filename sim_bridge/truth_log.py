@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from companion.config import Setup
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.io.rerun_scene import AXES, MeshArrays, SceneStream, draw_plot_lines, draw_setup, draw_truth_lines
+from sim_bridge.scene.boom_mesh import boom_mesh, boom_poses
 from sim_bridge.scene.meshing import Mesh, merge
-from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh, uav_mesh
+from sim_bridge.scene.receiver_mesh import uav_mesh
+from sim_bridge.scene.tanker_mesh import tanker_mesh
 from sim_bridge.truth import BoomState, Truth
 
 BATCH = 50

@@ -10,236 +10,146 @@ Rules
   picture at 60 m, it exceeds the threshold of detection; nearer ones clip in their middle.
 * The lens spreads a point by a Gaussian of 0.5 px before the pixels integrate: with less, the centroid of a light that
   is smaller than a pixel would not follow it. Everything else is softened by the supersampling alone.
+* What moves while the shutter is open is drawn in several places (``shutter``), and clips only after their mean.
 * The same generator state gives the same bits, with any number of threads.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import lru_cache
 from math import erf
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config import CameraConfig, ConfigError, TankerConfig
-from companion.geometry import SE3, Mat, Vec
-from companion.vision.camera import T_frd_cam, bends, normalised_to_pixels, pixels_to_normalised
+from companion.config import CameraConfig, TankerConfig
+from companion.geometry import SE3, Mat
+from companion.vision.camera import T_frd_cam, normalised_to_pixels
 from sim_bridge.scene import lights, tiles
-from sim_bridge.scene import rasterizer as kernels
-from sim_bridge.scene.ambient import shade_recesses
+from sim_bridge.scene.air import Air
 from sim_bridge.scene.background import pack_sky
-from sim_bridge.scene.clutter import Glow, glows, hot_pixels, red_paint
+from sim_bridge.scene.clutter import Glow, glows, hot_pixels
 from sim_bridge.scene.conditions import PictureConditions
-from sim_bridge.scene.meshing import Mesh, merge
+from sim_bridge.scene.drawing import Canvas, Spheres, Triangles, pinhole_of
+from sim_bridge.scene.glare import Glare
+from sim_bridge.scene.light import illumination
+from sim_bridge.scene.shutter import Shutter
 from sim_bridge.scene.sky import make_sky
-from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh
-from sim_bridge.truth import BoomState
+from sim_bridge.scene.tanker_parts import tanker_parts, tanker_poses
+from sim_bridge.truth import BodyState, BoomState
 
 CLEAR_DAY = PictureConditions()
 LIGHT = (4.0, 0.12, 0.12)
 SPREAD_PX = 0.5
-NOISE = 1.2
-"""Standard deviation of the sensor's noise in steps of 1/255."""
-
 NOISE_OFFSETS = 65536
-FINE = 12
-"""Samples per pixel and axis of a sphere of up to FINE_RADIUS_PX; larger ones need fewer."""
 
-FINE_RADIUS_PX = 1.5
-SUN_NED = np.array([-0.45, 0.50, -0.74])
-SUNLIGHT = (0.62, 0.62, 0.60)
-FROM_ABOVE = (0.38, 0.44, 0.52)
-FROM_BELOW = (0.60, 0.64, 0.70)
-LIT_BY = np.array([SUN_NED / np.sqrt(SUN_NED @ SUN_NED), SUNLIGHT, FROM_ABOVE, FROM_BELOW])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Spheres:
-    """Lights in one pinhole picture: centre and radius (n, 4), pixel bounds, samples per pixel, place in the mask."""
-
-    centres: Mat
-    box: NDArray[np.int32]
-    fine: NDArray[np.int32]
-    offset: NDArray[np.int32]
-    samples: int
-
-
-@lru_cache(maxsize=2)
-def scene_mesh(painted: bool = False) -> tuple[Mesh, NDArray[np.int32]]:
-    """Return tanker, boom and telescope as one mesh, and the part (0, 1, 2) of every vertex; ``painted`` red or not."""
-    airframe = merge([tanker_mesh(), *red_paint()]) if painted else tanker_mesh()
-    parts = [shade_recesses(airframe), *boom_mesh()]
-    part = np.repeat(np.arange(3), [len(p.vertices) for p in parts]).astype(np.int32)
-    return merge(parts), part
-
-
-class Pinhole:
-    """The undistorted picture that is drawn first: the camera's own, or one wide enough to bend into the camera's."""
-
-    def __init__(self, camera: CameraConfig) -> None:
-        self.width, self.height = camera.width_px, camera.height_px
-        self.lens = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
-        self.maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
-        if bends(camera):
-            self._widen(camera)
-
-    def _widen(self, camera: CameraConfig) -> None:
-        """Find where every pixel of the distorted picture looks, and make room for it."""
-        u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
-        rays = pixels_to_normalised(camera, np.column_stack([u.ravel(), v.ravel()]))
-        if np.isnan(rays).any():
-            msg = f"camera {camera.name}: distortion has no inverse at the picture's corners; use smaller coefficients"
-            raise ConfigError(msg)
-        places = rays * self.lens[:2] + self.lens[2:]
-        low = np.floor(places.min(axis=0)) - 2
-        size = np.ceil(places.max(axis=0)) + 3 - low
-        if size[0] * size[1] > 16 * camera.width_px * camera.height_px:
-            msg = f"camera {camera.name}: distortion needs a 16 times larger picture; use smaller coefficients"
-            raise ConfigError(msg)
-        self.width, self.height = int(size[0]), int(size[1])
-        self.lens[2:] -= low
-        maps = (places - low).astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
-        self.maps = (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
-
-    def sample_lens(self, ss: int) -> Vec:
-        """Return fx, fy, cx, cy in units of samples, ``ss`` to a pixel, sample centres at integers."""
-        return np.concatenate([self.lens[:2] * ss, (self.lens[2:] + 0.5) * ss - 0.5])
-
-    def place_spheres(self, centres_cam: Mat, radii_m: Vec) -> Spheres:
-        """Bound the lights that are ahead of the camera; bounds are empty (1, 0) for what is not in the picture."""
-        box = np.empty((len(centres_cam), 4), np.int32)
-        lights.bound_spheres(centres_cam, radii_m, self.lens, self.width, self.height, box)
-        fine = np.where(radii_m * self.lens[0] < FINE_RADIUS_PX * centres_cam[:, 2], FINE, FINE // 3).astype(np.int32)
-        sizes = (box[:, 1] - box[:, 0] + 1) * (box[:, 3] - box[:, 2] + 1) * fine * fine
-        ends = np.cumsum(sizes)
-        spheres = np.column_stack([centres_cam, radii_m])
-        return Spheres(spheres, box, fine, (ends - sizes).astype(np.int32), int(ends[-1]))
-
-
-@lru_cache(maxsize=8)
-def pinhole_of(camera: CameraConfig) -> Pinhole:
-    """Return the camera's pinhole picture; finding it for a distorted camera is slow."""
-    return Pinhole(camera)
-
-
-class Triangles:
-    """The table of the triangles in view, and the buffers behind it."""
-
-    def __init__(self, painted: bool = False) -> None:
-        self._scene = scene_mesh(painted)
-        mesh, _ = self._scene
-        self._xyz, self._rgb, self._screen = (np.empty_like(mesh.vertices) for _ in range(3))
-        self.table = np.empty((2 * len(mesh.triangles), kernels.COLUMNS))
-        self.box = np.empty((2 * len(mesh.triangles), 4), np.int32)
-
-    def place(self, pinhole: Pinhole, ss: int, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState) -> int:
-        """Light and place tanker and boom before the camera, with ``ss`` samples per pixel; returns the rows filled."""
-        mesh, part = self._scene
-        T_cam_ned = T_ned_cam.inverse()
-        T_ned_part = [T_ned_tanker, *(T_ned_tanker @ T for T in boom_poses(boom))]
-        T = np.stack([(T_cam_ned @ T_part).as_matrix()[:3] for T_part in T_ned_part])
-        R_ned = np.stack([T_part.R for T_part in T_ned_part])
-        kernels.light_vertices(mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, LIT_BY, self._xyz, self._rgb)
-        size = np.array([pinhole.width * ss, pinhole.height * ss], np.int32)
-        lens = pinhole.sample_lens(ss)
-        return int(kernels.set_up_triangles(self._xyz, self._rgb, mesh.triangles, lens, size, self._screen, self.table,
-                                            self.box))
+Instant = tuple[SE3, SE3]
+"""T_ned_tanker and T_ned_cam at one instant of an exposure."""
 
 
 class CameraPicture:
     """Draws what the camera sees; keep one per camera, its buffers are used again."""
 
     def __init__(self, camera: CameraConfig, tanker: TankerConfig, rng: np.random.Generator, threads: int = 2, *,
-                 light: tuple[float, float, float] = LIGHT, noise: float = NOISE,
+                 light: tuple[float, float, float] = LIGHT, noise: float | None = None,
                  conditions: PictureConditions = CLEAR_DAY) -> None:
         """Make sky and noise from ``rng``.
 
-        ``light`` red, green, blue of the markers in full scales; ``noise`` standard deviation in steps of 1/255;
-        ``conditions`` daylight, exposure and clutter.
+        ``light`` red, green, blue of the markers in full scales; ``conditions`` daylight, exposure and clutter;
+        ``noise`` another than theirs, in steps of 1/255.
         """
         self.camera, self.tanker, self.threads = camera, tanker, threads
-        self._rng, self._conditions = rng, conditions
+        self._rng, self._light = rng, illumination(conditions)
         self._pinhole, self._T_frd_cam = pinhole_of(camera), T_frd_cam(camera)
         markers = np.array([m.p_tanker_m for m in tanker.markers], dtype=np.float64)
         self._glows = [*glows(conditions.clutter), Glow(markers, tanker.marker_radius_m, np.array(light))]
         self._places = np.concatenate([g.places_tanker_m for g in self._glows])
         self._radii = np.concatenate([np.full(len(g.places_tanker_m), g.radius_m) for g in self._glows])
-        self._hot = hot_pixels(rng.spawn(1)[0], conditions.hot_pixels, camera.height_px, camera.width_px)
-        self._sky = pack_sky(make_sky(rng))
+        pixels, shake, wisps = rng.spawn(3)
+        self._hot = hot_pixels(pixels, conditions.hot_pixels, camera.height_px, camera.width_px)
+        self._shutter, self._air = Shutter(camera, markers, conditions, shake), Air(self._light, wisps)
+        sky = pack_sky(make_sky(rng, self._light))
         size = camera.width_px * camera.height_px * 3
-        self._noise = np.clip(np.round(noise * rng.standard_normal(size + NOISE_OFFSETS)), -127, 127).astype(np.int8)
+        deviation = conditions.noise if noise is None else noise
+        bank = deviation * rng.standard_normal(size + NOISE_OFFSETS)
+        self._noise = np.clip(np.round(bank), -127, 127).astype(np.int8)
         self._spread = point_spread()
         self._cover = np.zeros((camera.height_px + 2 * lights.MARGIN, camera.width_px + 2 * lights.MARGIN), np.float32)
-        self._pool = ThreadPoolExecutor(max_workers=max(1, threads - 1)) if threads > 1 else None
-        across, down = (-(-n // tiles.TILE) for n in (self._pinhole.width, self._pinhole.height))
-        self._shares = [np.arange(k, down, threads, dtype=np.int32) for k in range(threads)]
-        self._grid = (across, down)
-        self._triangles = Triangles(painted="stripe" in conditions.clutter)
+        self._triangles = Triangles(*tanker_parts("stripe" in conditions.clutter), self._light, self._air)
+        self._canvas = Canvas(self._pinhole, self._triangles, sky, threads)
+        glare = conditions.glare * float(conditions.cloud_per_m == 0.0)
+        self._glare = Glare(camera, self._light, glare) if glare > 0.0 else None
 
     def render(self, T_ned_tanker: SE3, T_ned_frd: SE3, boom: BoomState) -> NDArray[np.uint8]:
-        """Return the picture (h, w, 3) uint8 RGB of the tanker from the camera on the receiver."""
-        T_ned_cam = T_ned_frd @ self._T_frd_cam
-        T_cam_tanker = T_ned_cam.inverse() @ T_ned_tanker
-        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._places), self._radii)
-        mask = np.zeros(spheres.samples, np.uint8)
-        picture = self._draw(T_ned_tanker, T_ned_cam, boom, spheres, mask)
+        """Return the picture (h, w, 3) uint8 RGB of the tanker from the receiver's camera, all standing still."""
+        return self._take([(T_ned_tanker, T_ned_frd @ self._T_frd_cam)], boom)
+
+    def expose(self, tanker: BodyState, uav: BodyState, boom: BoomState) -> NDArray[np.uint8]:
+        """Return the picture (h, w, 3) uint8 RGB that is exposed about the instant of these states."""
+        return self._take(self._shutter.poses(tanker, uav), boom)
+
+    def _take(self, instants: list[Instant], boom: BoomState) -> NDArray[np.uint8]:
+        drawn = [self._draw(instant, boom) for instant in instants]
+        picture = drawn[0][0] if len(drawn) == 1 else mean_picture([d[0] for d in drawn])
         if self._pinhole.maps is not None:
             picture = cv2.remap(picture, *self._pinhole.maps, cv2.INTER_LINEAR)
-        exposed = self._expose(picture, spheres, mask)
+        exposed = self._expose(picture, instants, [(d[1], d[2]) for d in drawn])
+        if self._glare is not None:
+            T_ned_cam = instants[len(instants) // 2][1]
+            exposed = self._glare.lay_over(exposed, float(np.mean([d[3] for d in drawn])), T_ned_cam)
         start = int(self._rng.integers(NOISE_OFFSETS))
         lights.add_noise(exposed.reshape(-1), self._noise[start:])
         exposed[self._hot[:, 0], self._hot[:, 1], 0] = 255
         return exposed
 
-    def _draw(self, T_ned_tanker: SE3, T_ned_cam: SE3, boom: BoomState, spheres: Spheres,
-              mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Draw airframe, boom and sky; fill ``mask`` with the samples of the lights that nothing hides."""
-        pinhole = self._pinhole
-        count = self._triangles.place(pinhole, tiles.SS, T_ned_tanker, T_ned_cam, boom)
-        tri, box = self._triangles.table, self._triangles.box
-        starts, members = tiles.sort_into_tiles(box, count, *self._grid)
-        picture = np.empty((pinhole.height, pinhole.width, 3), np.uint8)
+    def _draw(self, instant: Instant, boom: BoomState) -> tuple[
+            NDArray[np.uint8], Spheres, NDArray[np.uint8], float]:
+        """Return one instant: airframe, boom and sky, the lights and which of their samples show, the sun's share."""
+        T_ned_tanker, T_ned_cam = instant
+        T_cam_tanker = T_ned_cam.inverse() @ T_ned_tanker
+        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._places), self._radii)
+        mask = np.zeros(spheres.samples, np.uint8)
+        picture = self._canvas.draw(tanker_poses(T_ned_tanker, boom), T_ned_cam, spheres, mask)
+        share = 0.0
+        if self._glare is not None:
+            table, lens = self._triangles, self._pinhole.sample_lens(tiles.SS)
+            share = self._glare.visible_share(table.table, table.box, self._canvas.count, lens, T_ned_cam)
+        return picture, spheres, mask, share
 
-        def draw(share: NDArray[np.int32]) -> None:
-            tiles.draw_tiles(share, starts, members, tri, box, spheres.centres, spheres.box, spheres.offset,
-                             spheres.fine, mask, pinhole.lens, self._sky, T_ned_cam.R, picture)
-
-        others = [self._pool.submit(draw, share) for share in self._shares[1:]] if self._pool else []
-        draw(self._shares[0])
-        for other in others:
-            other.result()
-        return picture
-
-    def _expose(self, picture: NDArray[np.uint8], spheres: Spheres, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return ``picture`` in these conditions, with the visible samples of the lights spread by lens and distortion.
+    def _expose(self, picture: NDArray[np.uint8], instants: list[Instant],
+                drawn: list[tuple[Spheres, NDArray[np.uint8]]]) -> NDArray[np.uint8]:
+        """Return ``picture`` after the rest of the gain, with the lights of all instants spread by lens and distortion.
 
         ``picture`` itself is written over.
         """
-        conditions, exposed = self._conditions, picture
-        if not conditions.plain():
-            picture = cv2.LUT(picture, conditions.surroundings_table())
-            exposed = cv2.LUT(picture, conditions.gain_table())
-        jacobian, window = self._bend(spheres.centres), np.empty_like(spheres.box)
+        light, exposed = self._light, picture
+        if light.rest > 1.0:
+            exposed = cv2.LUT(picture, np.clip(light.rest * np.arange(256.0) + 0.5, 0.0, 255.0).astype(np.uint8))
+        bent = [self._bend(spheres.centres) for spheres, _ in drawn]
+        left = [self._air.left_of(s.centres[:, :3], T_ned_cam)
+                for (s, _), (_, T_ned_cam) in zip(drawn, instants, strict=True)]
         first = 0
         for glow in self._glows:
             some = slice(first, first + len(glow.places_tanker_m))
-            lights.spread_lights(spheres.box[some], spheres.offset[some], spheres.fine[some], mask, jacobian[some],
-                                 self._spread, self._cover, window[some])
-            radiance = conditions.radiance_of_light(glow.radiance)
-            lights.add_lights(picture, exposed, self._cover, window[some], radiance, conditions.gain)
+            windows, share = [], 1.0 / len(drawn)
+            for (spheres, mask), jacobian in zip(drawn, bent, strict=True):
+                window = np.empty_like(spheres.box[some])
+                lights.spread_lights(spheres.box[some], spheres.offset[some], spheres.fine[some], mask, jacobian[some],
+                                     self._spread, share, self._cover, window)
+                windows.append(window)
+            through = np.concatenate([k[some] for k in left])[:, None]
+            radiance = light.scale * through * glow.radiance + (1.0 - through) * light.air
+            lights.add_lights(picture, exposed, self._cover, np.concatenate(windows), radiance, light.rest)
             first = some.stop
         return exposed
 
-    def _bend(self, centres_cam: Mat) -> Mat:
+    def _bend(self, spheres: Mat) -> Mat:
         """Return how the lens moves pinhole pixels near each light (n, 8), for ``lights.spread_lights``.
 
         All zero for a light that is not ahead of the camera, or that the lens does not show.
         """
         lens = self._pinhole.lens
-        xy = centres_cam[:, :2] / np.where(centres_cam[:, 2:3] > 0, centres_cam[:, 2:3], np.nan)
+        xy = spheres[:, :2] / np.where(spheres[:, 2:3] > 0, spheres[:, 2:3], np.nan)
         at = xy * lens[:2] + lens[2:]
         bend = np.zeros((len(at), 8))
         bend[:, :2] = at
@@ -252,6 +162,14 @@ class CameraPicture:
             bend[:, [2, 5]], bend[:, [3, 6]], bend[:, [4, 7]] = there[0], there[1] - there[2], there[3] - there[4]
         bend[np.isnan(bend).any(axis=1)] = 0.0
         return bend
+
+
+def mean_picture(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Return the mean of pictures, rounded."""
+    total = np.zeros(pictures[0].shape, np.uint16)
+    for picture in pictures:
+        total += picture
+    return ((total + len(pictures) // 2) // len(pictures)).astype(np.uint8)
 
 
 def point_spread(phases: int = 256) -> Mat:

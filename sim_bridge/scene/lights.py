@@ -38,9 +38,11 @@ def bound_spheres(centres: F64, radii: F64, lens: F64, width: int, height: int, 
 
 
 @kernel
-def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F64, spread: F64, cover: F32,
-                  window: I32) -> None:
-    """Add the light of every visible sphere sample to ``cover`` (h + 2 MARGIN, w + 2 MARGIN), spread by the lens.
+def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F64, spread: F64, weight: float,
+                  cover: F32, window: I32) -> None:
+    """Add ``weight`` times the light of every visible sphere sample to ``cover``, spread by the lens.
+
+    ``cover`` (h + 2 MARGIN, w + 2 MARGIN): the share of each pixel that lights cover.
 
     ``jacobian`` (n, 8) maps a pinhole pixel to the picture about each sphere, to first order: x0, y0, then picture
     x = [2] + [3] dx + [4] dy and y = [5] + [6] dx + [7] dy. ``spread`` (p, 5): share of a point at phase p that falls
@@ -52,7 +54,7 @@ def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F
     for s in range(len(sphere_box)):
         k, J = fine[s], jacobian[s]
         width, height = (sphere_box[s, 1] - sphere_box[s, 0] + 1) * k, (sphere_box[s, 3] - sphere_box[s, 2] + 1) * k
-        share = abs(J[3] * J[7] - J[4] * J[6]) / (k * k)
+        share = weight * abs(J[3] * J[7] - J[4] * J[6]) / (k * k)
         i_min, i_max, j_min, j_max = w, -1, h, -1
         n = offset[s] - 1
         for v in range(height):
@@ -78,10 +80,11 @@ def spread_lights(sphere_box: I32, offset: I32, fine: I32, mask: U8, jacobian: F
 
 @kernel
 def add_lights(picture: U8, exposed: U8, cover: F32, window: I32, light: F64, gain: float) -> None:
-    """Lay lights of colour ``light`` (3,), in full scales, over ``picture`` where ``cover`` says, clipping at 255.
+    """Lay lights of colours ``light`` (n, 3), in full scales, over ``picture`` where ``cover`` says, clipping at 255.
 
-    ``exposed`` gets the same times ``gain``; it may be ``picture`` itself when that is one. Only the parts of
-    ``cover`` that ``window`` names are looked at, and left empty for the next picture.
+    Where the windows of several meet, the first one's colour is taken. ``exposed`` gets the same times ``gain``; it may
+    be ``picture`` itself when that is one. Only the parts of ``cover`` that ``window`` names are looked at, and left
+    empty for the next picture.
     """
     h, w, _ = picture.shape
     for s in range(len(window)):
@@ -91,7 +94,7 @@ def add_lights(picture: U8, exposed: U8, cover: F32, window: I32, light: F64, ga
                 cover[j, i] = 0.0
                 if c > 0.0 and 0 <= x < w and 0 <= y < h:
                     for k in range(3):
-                        value = float(picture[y, x, k]) * (1.0 - c) + 255.0 * light[k] * c
+                        value = float(picture[y, x, k]) * (1.0 - c) + 255.0 * light[s, k] * c
                         picture[y, x, k] = np.uint8(min(255.0, value + 0.5))
                         exposed[y, x, k] = np.uint8(min(255.0, gain * value + 0.5))
 

@@ -38,12 +38,29 @@ def kernel(function: Any) -> Any:
 
 
 @kernel
-def light_vertices(vertices: F64, normals: F64, colours: F64, part: I32, T: F64, R_ned: F64, light: F64, xyz: F64,
-                   rgb: F64) -> None:
+def transmission(x: float, y: float, z: float, air: F64, waves: F64) -> float:
+    """Return what haze and cloud leave of the radiance of a point in camera axes; see ``air``.
+
+    ``air`` (5,): share that haze leaves, extinction per metre, radiance; ``waves`` (n, 5): vector in camera axes, phase
+    at the camera, amplitude.
+    """
+    if air[1] == 0.0:
+        return air[0]
+    density = 1.0
+    for w in range(len(waves)):
+        half = 0.5 * (waves[w, 0] * x + waves[w, 1] * y + waves[w, 2] * z)
+        density += waves[w, 4] * math.sin(half + waves[w, 3])
+    return air[0] * math.exp(-air[1] * max(density, 0.0) * math.sqrt(x * x + y * y + z * z))
+
+
+@kernel
+def light_vertices(vertices: F64, normals: F64, colours: F64, part: I32, T: F64, R_ned: F64, light: F64, air: F64,
+                   waves: F64, xyz: F64, rgb: F64) -> None:
     """Turn vertices (n, 3) into camera axes ``xyz`` and shade them into ``rgb`` (n, 3).
 
     ``T`` (k, 3, 4) maps part k to the camera, ``R_ned`` (k, 3, 3) its normals to north-east-down. ``light`` rows:
-    direction to the sun, sunlight, light from above and from below; what is reflected is colour times their sum.
+    direction to the sun, sunlight, light from above and from below; what is reflected is colour times their sum, and
+    seen through ``air`` and its ``waves`` (see ``transmission``).
     """
     for i in range(len(vertices)):
         M, R = T[part[i]], R_ned[part[i]]
@@ -57,6 +74,10 @@ def light_vertices(vertices: F64, normals: F64, colours: F64, part: I32, T: F64,
         up = 0.5 - 0.5 * n2
         for r in range(3):
             rgb[i, r] = colours[i, r] * (sun * light[1, r] + up * light[2, r] + (1.0 - up) * light[3, r])
+        left = transmission(xyz[i, 0], xyz[i, 1], xyz[i, 2], air, waves)
+        if left < 1.0:
+            for r in range(3):
+                rgb[i, r] = left * rgb[i, r] + (1.0 - left) * air[2 + r]
 
 
 @kernel

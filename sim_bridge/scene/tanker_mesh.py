@@ -1,4 +1,4 @@
-"""Meshes of the aircraft: a KC-135R-like tanker, its boom, and the receiver for the 3D view.
+"""Mesh of a KC-135R-like tanker; its boom is in ``boom_mesh``.
 
 Rules
 -----
@@ -14,17 +14,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from companion.geometry import SE3, Mat, rotation_from_euler
+from companion.geometry import Mat
 from sim_bridge.scene.meshing import Mesh, aerofoil, loft, merge, revolution, ring
-from sim_bridge.truth import BoomState
-
-GREY = (0.60, 0.63, 0.67)
-LIGHT = (0.70, 0.73, 0.76)
-DARK = (0.20, 0.22, 0.25)
-BLACK = (0.05, 0.06, 0.07)
-METAL = (0.45, 0.47, 0.50)
-YELLOW = (0.72, 0.68, 0.16)
-GREEN = (0.20, 0.55, 0.30)
+from sim_bridge.scene.paints import BLACK, DARK, GREEN, GREY, LIGHT, METAL, YELLOW
 
 FUSELAGE = np.array(
     # x      top    bottom half-width
@@ -235,62 +227,3 @@ def tanker_mesh() -> Mesh:
     return merge(
         [fuselage(), *panes, keel, pod, window, fork, fin(), *markings(), *halves, *(h.mirrored() for h in halves)]
     )
-
-
-def ruddevator() -> Mesh:
-    """Return the right one of the V of control surfaces on the boom, 42 degrees up, in boom axes."""
-    out = np.array([0.0, np.cos(0.733), -np.sin(0.733)])
-    across = np.array([0.0, np.sin(0.733), np.cos(0.733)])
-    sections = [
-        aerofoil(np.array([-5.15 - 0.25 * r, 0.0, 0.0]) + r * out, 1.15 - 0.12 * r, 0.10, across=across)
-        for r in (0.15, 1.2, 2.35)
-    ]
-    return loft(np.stack(sections), LIGHT)
-
-
-@lru_cache(maxsize=1)
-def boom_mesh() -> tuple[Mesh, Mesh]:
-    """Return (fixed part, telescoping part) in boom axes: x points from the boom to its pivot, z down at elevation 0.
-
-    The fixed part's origin is the pivot; the telescoping part's origin is the boom's tip.
-    """
-    tube = revolution(
-        [0.25, 0.0, -0.5, -2.5, -4.5, -6.5, -8.0, -8.3], [0.10, 0.24, 0.30, 0.30, 0.30, 0.28, 0.22, 0.14], (0.0, 0.0),
-        16, GREY,
-    )
-    fixed = merge([tube, ruddevator(), ruddevator().mirrored()])
-    bands = [(9.0, 4.2, LIGHT), (4.2, 3.1, GREEN), (3.1, 2.5, YELLOW), (2.5, 0.9, LIGHT), (0.9, 0.3, BLACK)]
-    pieces = [
-        revolution(list(np.linspace(a, b, 1 + max(1, round((a - b) / 1.0)))),
-                   [0.115] * (1 + max(1, round((a - b) / 1.0))), (0.0, 0.0), 12, c)
-        for a, b, c in bands
-    ]
-    nozzle = revolution([0.35, 0.3, 0.1, 0.0], [0.10, 0.15, 0.13, 0.07], (0.0, 0.0), 12, METAL)
-    return fixed, merge([*pieces, nozzle])
-
-
-def boom_poses(boom: BoomState) -> tuple[SE3, SE3]:
-    """Return (T_tanker_fixed, T_tanker_telescope) of the two parts of ``boom_mesh`` for a boom's state."""
-    R_tanker_boom = rotation_from_euler(-boom.azimuth_rad, boom.elevation_rad, 0.0)
-    return SE3(R_tanker_boom, boom.pivot_tanker_m), SE3(R_tanker_boom, boom.tip_tanker_m())
-
-
-@lru_cache(maxsize=1)
-def uav_mesh() -> Mesh:
-    """Return a tailless delta like the ICE-101 (13 m long, 11.4 m span, 65 degrees of sweep), in ``frd`` axes.
-
-    The refuelling receptacle, a dark square, is on the back at about [2, 0, -1] m.
-    """
-    y = np.array([0.0, 0.35, 0.7, 1.1, 1.6, 2.3, 3.0, 4.0, 5.0, 5.7])
-    lead = 7.0 - np.tan(np.radians(65.0)) * y * np.clip(0.55 + y / 2.0, 0.0, 1.0)
-    trail = np.interp(y, [0.0, 2.6, 4.6, 5.7], [-6.0, -4.9, -5.8, -5.3])
-    hump = np.exp(-((y / 1.0) ** 2))
-    lead[-1] = trail[-1] + 0.25
-    sections = [
-        aerofoil(np.array([lead[i], y[i], 0.05]), lead[i] - trail[i], 0.05 + 0.105 * hump[i], 0.004 * hump[i])
-        for i in range(len(y))
-    ]
-    right = loft(np.stack(sections), (0.34, 0.37, 0.41))
-    square = np.array([[-0.25, -1.06], [0.25, -1.06], [0.25, -0.6], [-0.25, -0.6]])
-    receptacle = loft(np.stack([np.column_stack([np.full(4, x), square]) for x in (2.3, 1.7)]), DARK)
-    return merge([right, right.mirrored(), receptacle])

@@ -8,8 +8,12 @@ from companion.config import CameraConfig, TankerConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import T_frd_cam, normalised_to_pixels
 from sim_bridge.scene import lights
-from sim_bridge.scene.camera_picture import Triangles, pinhole_of
+from sim_bridge.scene.air import Air
+from sim_bridge.scene.conditions import PictureConditions
+from sim_bridge.scene.drawing import Triangles, pinhole_of
+from sim_bridge.scene.light import illumination
 from sim_bridge.scene.rasterizer import NEAR_M
+from sim_bridge.scene.tanker_parts import tanker_parts, tanker_poses
 from sim_bridge.truth import BoomState
 
 RAYS = 64
@@ -28,8 +32,8 @@ def sphere_visibility(camera: CameraConfig, points_tanker: Mat, radius_m: float,
                       boom: BoomState) -> Vec:
     """Return the visible share (n,) of spheres at ``points_tanker`` (n, 3) in m, by RAYS rays to each."""
     T_ned_cam = T_ned_frd @ T_frd_cam(camera)
-    pinhole, triangles = pinhole_of(camera), Triangles()
-    count = triangles.place(pinhole, FINE, T_ned_tanker, T_ned_cam, boom)
+    pinhole, triangles = pinhole_of(camera), tanker_triangles()
+    count = triangles.place(pinhole, FINE, tanker_poses(T_ned_tanker, boom), T_ned_cam)
     centres = (T_ned_cam.inverse() @ T_ned_tanker).transform(points_tanker)
     disc, lens = unit_disc(RAYS), pinhole.sample_lens(FINE)
     shares = np.zeros(len(centres))
@@ -43,6 +47,12 @@ def sphere_visibility(camera: CameraConfig, points_tanker: Mat, radius_m: float,
         size = np.array([camera.width_px, camera.height_px])
         shares[i] = np.mean(np.all((uv > -0.5) & (uv < size - 0.5), axis=1) & (seen == 1))
     return shares
+
+
+def tanker_triangles() -> Triangles:
+    """Return the tanker's triangles by day, for depth alone."""
+    light = illumination(PictureConditions())
+    return Triangles(*tanker_parts(), light, Air(light, np.random.default_rng(0)))
 
 
 def unit_disc(count: int) -> Mat:

@@ -11,8 +11,8 @@ from embreex.rtcore_scene import EmbreeScene
 from companion.config import FIRMWARE_CONFIGS, CameraConfig, TankerConfig, load
 from companion.geometry import SE3, Mat, Vec, rotation_from_euler
 from companion.vision.camera import T_frd_cam
-from sim_bridge.scene.camera_picture import scene_mesh
-from sim_bridge.scene.tanker_mesh import boom_poses
+from sim_bridge.scene.boom_mesh import boom_poses
+from sim_bridge.scene.tanker_parts import tanker_parts
 from sim_bridge.truth import BoomState
 
 START = np.array([-50.0, -20.0, 30.0])
@@ -52,7 +52,7 @@ class Tracer:
     """Embree over tanker and boom in tanker axes: who is hit first, independent of the rasterizer."""
 
     def __init__(self, boom: BoomState) -> None:
-        mesh, part = scene_mesh()
+        mesh, part = tanker_parts()
         vertices = mesh.vertices.copy()
         for k, T in enumerate(boom_poses(boom), start=1):
             vertices[part == k] = T.transform(mesh.vertices[part == k])

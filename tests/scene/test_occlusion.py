@@ -10,8 +10,10 @@ from companion.config import CameraConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import T_frd_cam
 from sim_bridge.scene import rasterizer as kernels
-from sim_bridge.scene.camera_picture import CameraPicture, Triangles, pinhole_of
-from sim_bridge.scene.visibility import marker_visibility, unit_disc
+from sim_bridge.scene.camera_picture import CameraPicture
+from sim_bridge.scene.drawing import pinhole_of
+from sim_bridge.scene.tanker_parts import tanker_poses
+from sim_bridge.scene.visibility import marker_visibility, tanker_triangles, unit_disc
 
 
 def poses_all_round(scene: Scene, count: int, seed: int) -> list[SE3]:
@@ -83,8 +85,8 @@ def test_picture_shows_just_the_lights_that_embree_sees(scene: Scene, tracer: Tr
 
 def drawn(scene: Scene, camera: CameraConfig, T_ned_frd: SE3) -> Mat:
     """Return 1/z at pixel centres by the rasterizer's own kernels, 0 for sky, one sample per pixel."""
-    triangles, pinhole = Triangles(), pinhole_of(camera)
-    count = triangles.place(pinhole, 1, scene.T_ned_tanker, T_ned_frd @ T_frd_cam(camera), scene.boom)
+    triangles, pinhole = tanker_triangles(), pinhole_of(camera)
+    count = triangles.place(pinhole, 1, tanker_poses(scene.T_ned_tanker, scene.boom), T_ned_frd @ T_frd_cam(camera))
     depth, ident = np.zeros((640, 640), np.float32), np.full((640, 640), kernels.SKY, np.int32)
     for t in range(count):
         kernels.draw_triangle(triangles.table[t], t, triangles.box[t], 0, 0, depth, ident)

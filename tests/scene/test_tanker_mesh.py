@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from tanker_scene import Scene
 
+from sim_bridge.scene.boom_mesh import boom_mesh, boom_poses
 from sim_bridge.scene.meshing import Mesh
-from sim_bridge.scene.tanker_mesh import boom_mesh, boom_poses, tanker_mesh, uav_mesh
+from sim_bridge.scene.receiver_mesh import uav_mesh
+from sim_bridge.scene.tanker_mesh import tanker_mesh
 from sim_bridge.truth import BoomState
 
-MESHES = {"tanker": tanker_mesh(), "boom": boom_mesh()[0], "telescope": boom_mesh()[1], "uav": uav_mesh()}
+MESHES = {"tanker": tanker_mesh(), "uav": uav_mesh(),
+          **dict(zip(("boom", "telescope", "right ruddevator", "left ruddevator"), boom_mesh(), strict=True))}
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -69,8 +72,8 @@ def test_no_paint_is_red(name: str) -> None:
 @pytest.mark.parametrize(("elevation", "azimuth", "length"), [(0.52, 0.0, 11.5), (0.35, 0.2, 9.0), (0.7, -0.25, 14.0)])
 def test_boom_reaches_from_pivot_to_tip(scene: Scene, elevation: float, azimuth: float, length: float) -> None:
     state = BoomState(scene.boom.pivot_tanker_m, elevation, azimuth, length)
-    T_fixed, T_telescope = boom_poses(state)
-    fixed, telescope = boom_mesh()
+    T_fixed, T_telescope = boom_poses(state)[:2]
+    fixed, telescope = boom_mesh()[:2]
     axis = (state.tip_tanker_m() - state.pivot_tanker_m) / length
     along = (T_telescope.transform(telescope.vertices) - state.pivot_tanker_m) @ axis
     assert along.max() == pytest.approx(length, abs=1e-9)

@@ -15,8 +15,9 @@ from companion.config import CameraConfig
 from companion.geometry import SE3, Mat, Vec
 from companion.vision.camera import normalised_to_pixels, pixels_to_normalised
 from sim_bridge.scene import rasterizer as kernels
-from sim_bridge.scene.camera_picture import LIGHT, LIT_BY, NOISE, SPREAD_PX, scene_mesh
-from sim_bridge.scene.tanker_mesh import boom_poses
+from sim_bridge.scene.camera_picture import CLEAR_DAY, LIGHT, SPREAD_PX
+from sim_bridge.scene.light import illumination
+from sim_bridge.scene.tanker_parts import tanker_parts, tanker_poses
 
 FINE = 16
 HALF = 10
@@ -28,18 +29,19 @@ class LightTracer:
 
     def __init__(self, scene: Scene, tracer: Tracer) -> None:
         self.scene, self.tracer = scene, tracer
-        mesh, part = scene_mesh()
-        T_ned_part = [scene.T_ned_tanker, *(scene.T_ned_tanker @ T for T in boom_poses(scene.boom))]
+        mesh, part = tanker_parts()
+        T_ned_part = tanker_poses(scene.T_ned_tanker, scene.boom)
         T = np.stack([T_part.as_matrix()[:3] for T_part in T_ned_part])
         R_ned = np.stack([T_part.R for T_part in T_ned_part])
         self.rgb = np.empty_like(mesh.vertices)
         kernels.light_vertices(
-            mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, LIT_BY, np.empty_like(mesh.vertices), self.rgb
+            mesh.vertices, mesh.normals, mesh.colours, part, T, R_ned, illumination(CLEAR_DAY).lit_by,
+            np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.zeros((0, 5)), np.empty_like(mesh.vertices), self.rgb
         )
 
     def background(self, origin: Vec, rays: Mat) -> tuple[Vec, Mat]:
         """Return distance (n,) and colour (n, 3) of what each ray meets: airframe, boom or sky."""
-        mesh, _ = scene_mesh()
+        mesh, _ = tanker_parts()
         origins = np.tile(origin, (len(rays), 1)).astype(np.float32)
         hit = self.tracer.scene.run(origins, rays.astype(np.float32), output=True)
         met = hit["primID"] >= 0
@@ -72,7 +74,9 @@ class LightTracer:
         return normalised_to_pixels(camera, c[:, :2] / c[:, 2:])
 
 
-def expose(radiance: Mat, rng: np.random.Generator, gain: float = 1.0, noise: float = NOISE) -> NDArray[np.uint8]:
+def expose(
+    radiance: Mat, rng: np.random.Generator, gain: float = 1.0, noise: float = CLEAR_DAY.noise
+) -> NDArray[np.uint8]:
     """Return the picture (h, w, 3) uint8 that a sensor of this gain and noise takes of ``radiance``."""
     clean = np.clip(np.round(255.0 * gain * radiance), 0, 255)
     return np.clip(np.round(clean + noise * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
