@@ -4,8 +4,7 @@ Rules
 -----
 * The messages are pymavlink's generated ones; the framing is ours, because the generated parser loses good frames
   behind damage: after a bad frame the search goes on one byte further, never one frame further.
-* Fields are packed and unpacked here, by the layout that the generated class carries, which takes a third of the time;
-  messages with arrays, which are rare, go through the generated code.
+* Fields are packed and unpacked here, by the layout that the generated class carries, which takes a third of the time.
 * A frame is only believed with a known id and a right checksum. Unknown ids carry no checksum that could be verified,
   so they are counted and dropped.
 * MAVLink 2 only. Signatures are carried but not verified.
@@ -16,7 +15,7 @@ from __future__ import annotations
 import struct
 from binascii import crc_hqx
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import attrgetter, itemgetter
@@ -28,6 +27,9 @@ __all__ = ["MavlinkCodec", "Message", "checksum", "dialect"]
 
 Message = Any
 """A generated ``MAVLink_*_message``; pymavlink has no types that mypy could follow."""
+
+Values = tuple[Any, ...]
+Way = tuple[Callable[[Message], Iterable[Any]], Callable[[Values], Iterable[Any]]]
 
 MARKER = 0xFD
 HEADER_SIZE = 10
@@ -52,35 +54,69 @@ def checksum(data: bytes, crc_extra: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the payload of a message without arrays is written: in ``wire`` order, which differs from its fields'."""
+    """How the payload of a message is written: in ``wire`` order, which differs from that of its fields."""
 
     kind: Callable[..., Message]
     wire: struct.Struct
     crc_extra: int
-    of_message: Callable[[Message], tuple[Any, ...]]
-    of_wire: Callable[[tuple[Any, ...]], tuple[Any, ...]]
+    of_message: Callable[[Message], Iterable[Any]]
+    of_wire: Callable[[Values], Iterable[Any]]
 
 
-@lru_cache(maxsize=64)
-def layout_of(message_id: int) -> Layout | None:
-    """Return the layout of a known message; None for those with arrays or strings, or with one field only."""
+@lru_cache(maxsize=512)
+def layout_of(message_id: int) -> Layout:
+    """Return the layout of a known message."""
     kind = dialect.mavlink_map[message_id]
-    if any(kind.array_lengths) or len(kind.orders) < 2:
-        return None
-    names, orders = kind.ordered_fieldnames, kind.orders
-    return Layout(kind, kind.unpacker, kind.crc_extra, attrgetter(*names), itemgetter(*orders))
+    of_message, of_wire = plain(kind) if not any(kind.array_lengths) and len(kind.orders) > 1 else with_arrays(kind)
+    return Layout(kind, kind.unpacker, kind.crc_extra, of_message, of_wire)
+
+
+def plain(kind: Any) -> Way:
+    """Return the ways between wire and fields for a message of numbers only."""
+    return attrgetter(*kind.ordered_fieldnames), itemgetter(*kind.orders)
+
+
+def with_arrays(kind: Any) -> Way:
+    """Return the ways between wire and fields for any message: arrays are lists, strings bytes without their zeros.
+
+    A string is one value, as for struct; its bytes are the generated class's ``_NAME_raw``, the field itself is text.
+    """
+    starts = [sum(kind.lengths[:k]) for k in kind.orders]
+    places = [start if kind.lengths[k] == 1 else slice(start, start + kind.lengths[k])
+              for start, k in zip(starts, kind.orders, strict=True)]
+    names = [f"_{name}_raw" if form == ord("c") else name
+             for name, form in zip(kind.ordered_fieldnames, kind.native_format[1:], strict=True)]
+
+    def of_message(message: Message) -> Iterable[Any]:
+        for name, length in zip(names, kind.lengths, strict=True):
+            value = getattr(message, name)
+            if length == 1:
+                yield value
+            else:
+                yield from value[:length]
+
+    def of_wire(values: Values) -> Iterable[Any]:
+        for place in places:
+            value = values[place]
+            if isinstance(value, tuple):
+                yield list(value)
+            else:
+                yield value.rstrip(b"\0") if isinstance(value, bytes) else value
+
+    return of_message, of_wire
 
 
 class MavlinkCodec:
     """One end of a MAVLink stream: ``feed`` bytes to get messages, ``pack`` messages to get bytes.
 
     ``rejects`` counts what was dropped: ``garbage`` (runs of bytes that are no frame), ``bad_flags``, ``unknown_id``,
-    ``bad_checksum``, ``bad_payload``.
+    ``bad_checksum``.
     """
 
     def __init__(self, system_id: int, component_id: int) -> None:
         self.rejects: Counter[str] = Counter()
-        self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._source = (system_id, component_id)
+        self._sequence = 0
         self._buffer = bytearray()
 
     def restart(self) -> None:
@@ -139,14 +175,7 @@ class MavlinkCodec:
         if checksum(frame[1:end], dialect.mavlink_map[message_id].crc_extra) != crc:
             self.rejects["bad_checksum"] += 1
             return None
-        layout = layout_of(message_id)
-        if layout is not None:
-            return decode_plain(frame, message_id, crc, layout)
-        try:
-            return self._mav.decode(bytearray(frame))
-        except dialect.MAVError:
-            self.rejects["bad_payload"] += 1
-            return None
+        return decoded(frame, message_id, crc)
 
     def pack(self, message: Message) -> bytes:
         """Return the frame of a message with the next sequence number.
@@ -156,26 +185,21 @@ class MavlinkCodec:
         message_id = message.get_msgId()
         layout = layout_of(message_id)
         try:
-            frame = bytes(message.pack(self._mav)) if layout is None else self._pack_plain(message, message_id, layout)
+            whole = layout.wire.pack(*layout.of_message(message))
         except (struct.error, TypeError, OverflowError) as error:
             text = f"{message.get_type()} cannot be packed: {error}"
             raise ValueError(text) from error
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return frame
-
-    def _pack_plain(self, message: Message, message_id: int, layout: Layout) -> bytes:
-        """Return the frame of a message without arrays; zeros at the payload's end are not sent."""
-        whole = layout.wire.pack(*layout.of_message(message))
-        payload = whole.rstrip(b"\0") or whole[:1]
-        mav = self._mav
-        head = HEADER.pack(MARKER, len(payload), 0, 0, mav.seq, mav.srcSystem, mav.srcComponent, message_id & 0xFFFF,
+        payload = whole.rstrip(b"\0") or whole[:1]  # zeros at the end are not sent
+        head = HEADER.pack(MARKER, len(payload), 0, 0, self._sequence, *self._source, message_id & 0xFFFF,
                            message_id >> 16)
-        body = head + payload
-        return body + checksum(body[1:], layout.crc_extra).to_bytes(2, "little")
+        self._sequence = (self._sequence + 1) % 256
+        frame = head + payload
+        return frame + checksum(frame[1:], layout.crc_extra).to_bytes(2, "little")
 
 
-def decode_plain(frame: bytes, message_id: int, crc: int, layout: Layout) -> Message:
+def decoded(frame: bytes, message_id: int, crc: int) -> Message:
     """Return the message of a frame that holds, with what pymavlink's own decoder would tell about its source."""
+    layout = layout_of(message_id)
     _, length, incompatible, compatible, sequence, system, component, _, _ = HEADER.unpack_from(frame)
     size = layout.wire.size
     payload = frame[HEADER_SIZE : HEADER_SIZE + min(length, size)].ljust(size, b"\0")
