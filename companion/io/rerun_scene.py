@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
@@ -110,6 +111,13 @@ class SceneStream:
         """Send lines of (t_ns, level, text)."""
         t_ns, levels, lines = zip(*rows, strict=True)
         self.columns(entity, self.times(t_ns), rr.TextLog.columns(text=lines, level=levels))
+
+    def pictures(self, entity: str, t_ns: Any, pictures: Sequence[NDArray[np.uint8]], quality: int) -> None:
+        """Send pictures (h, w, 3) RGB as JPEG."""
+        flags = [cv2.IMWRITE_JPEG_QUALITY, quality]
+        jpegs = [cv2.imencode(".jpg", p[:, :, ::-1], flags)[1].tobytes() for p in pictures]
+        self.columns(entity, self.times(t_ns),
+                     rr.EncodedImage.columns(blob=jpegs, media_type=["image/jpeg"] * len(jpegs)))
 
     def static(self, entity: str, *what: Any) -> None:
         """Log what does not change."""

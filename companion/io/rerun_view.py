@@ -38,6 +38,7 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
         eye_controls=eye,
     )
     camera = rrb.Spatial2DView(origin="world/uav/camera", contents="world/uav/camera/image/**", name="Camera")
+    operator = rrb.Spatial2DView(origin="operator/camera", name="Boom operator")
     whole = rrb.TimeAxis(
         view_range=rrb.TimeRange(rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite())
     )
@@ -66,7 +67,7 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(scene, camera, column_shares=[3, 2]),
+            rrb.Horizontal(scene, rrb.Tabs(camera, operator), column_shares=[3, 2]),
             rrb.Horizontal(*br, more),
             foot,
             row_shares=[5, 2.8, 1.6],

@@ -80,7 +80,7 @@ class Pinhole:
         sizes = (box[:, 1] - box[:, 0] + 1) * (box[:, 3] - box[:, 2] + 1) * fine * fine
         ends = np.cumsum(sizes)
         spheres = np.column_stack([centres_cam, radii_m])
-        return Spheres(spheres, box, fine, (ends - sizes).astype(np.int32), int(ends[-1]))
+        return Spheres(spheres, box, fine, (ends - sizes).astype(np.int32), int(sizes.sum()))
 
 
 @lru_cache(maxsize=8)
