@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from sim_bridge.truth import BodyState
@@ -38,8 +39,7 @@ NOISE_BLOCK = 256
 """Rows drawn at once: a call of the generator costs as much as a hundred rows."""
 
 
-@dataclass(frozen=True, slots=True)
-class InertialSample:
+class InertialSample(msgspec.Struct, frozen=True):
     """What the INS says at ``t_ns``.
 
     ``euler_rad`` yaw, pitch, roll; ``omega_rad_s`` p, q, r; ``speed_m_s``, ``alpha_rad``, ``beta_rad`` of the inertial

@@ -11,9 +11,10 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from companion.config import ConfigError, Setup
 from companion.io.recorder import create_run_folder, read_records
@@ -125,7 +126,7 @@ class _SitlFlight:
     def see(self, truth: Truth) -> None:
         """Record the truth on the companion's clock."""
         self._flown_s = truth.t_ns * NS
-        self.recording[1].append(replace(truth, t_ns=time.monotonic_ns()), self._box.p_mrf_br_m(truth))
+        self.recording[1].append(msgspec.structs.replace(truth, t_ns=time.monotonic_ns()), self._box.p_mrf_br_m(truth))
 
     def stop(self) -> bool:
         """Tell whether the companion has ended, or time is up: simulated time, or that to start in."""

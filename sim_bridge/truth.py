@@ -1,9 +1,13 @@
-"""What the simulator knows exactly: passed between plant, scene, sensors and scoring, never to the companion."""
+"""What the simulator knows exactly: passed between plant, scene, sensors and scoring, never to the companion.
+
+What is made at every step is a msgspec Struct, which takes an eighth of the time of a frozen dataclass.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from companion.geometry import SE3, Mat, Vec
@@ -12,8 +16,7 @@ EFFECTORS = ("throttle", "amt_r", "amt_l", "tef_r", "tef_l", "lef_r", "lef_l", "
 """Order of the UAV's input vector (thesis eq. 3.3); throttle 0..1, surfaces in rad."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BodyState:
+class BodyState(msgspec.Struct, frozen=True, eq=False):
     """State of one aircraft's centre of mass.
 
     ``p_ned_m``, ``v_ned_m_s`` (3,) inertial; ``R_ned_body`` (3, 3); ``omega_body_rad_s`` (3,) p q r;
@@ -59,8 +62,7 @@ class BoomState:
         return self.pivot_tanker_m + self.length_m * direction
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class Truth(msgspec.Struct, frozen=True, eq=False):
     """One instant of the simulated world."""
 
     t_ns: int

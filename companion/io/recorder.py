@@ -48,6 +48,9 @@ KEPT_BYTES = 8 << 20
 
 DISTRIBUTION = "refuel-companion"
 
+PLAIN = (np.ndarray, np.generic)
+"""What has a list or a number of Python in it; a tuple, because this is asked for every array of every record."""
+
 
 class Appender:
     """An append-only file with its own buffer, that outlives a full disk."""
@@ -298,7 +301,7 @@ def _revision() -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
+    if isinstance(value, PLAIN):
         return value.tolist()
     msg = f"{type(value).__name__} has no place in a record"
     raise TypeError(msg)

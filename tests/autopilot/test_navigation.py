@@ -1,7 +1,6 @@
 """Dead reckoning: exact without noise, and no worse than the fix with it."""
 
-import dataclasses
-
+import msgspec
 import numpy as np
 import pytest
 from level_flight import STEP_NS, Quiet, state_at
@@ -18,7 +17,7 @@ def weaving_flight(steps: int) -> list[BodyState]:
         t = k * STEP_NS * 1e-9
         v = np.array([205.0, 8.0 * np.sin(1.3 * t), 3.0 * np.cos(2.1 * t)])
         p = p if v_old is None else p + 0.5e-9 * STEP_NS * (v + v_old)
-        truth.append(dataclasses.replace(state_at(k * STEP_NS), p_ned_m=p, v_ned_m_s=v))
+        truth.append(msgspec.structs.replace(state_at(k * STEP_NS), p_ned_m=p, v_ned_m_s=v))
         v_old = v
     return truth
 

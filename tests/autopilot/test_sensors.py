@@ -1,8 +1,8 @@
 """Sensors: the thesis' covariances n_p / T, hold times and delay, and nothing else between truth and measurement."""
 
-import dataclasses
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -29,7 +29,7 @@ def errors() -> np.ndarray:
     sensor = InertialSensor(np.random.default_rng(7))
     truth = state_at(0)
     return np.array(
-        [channels(sensor.sample(dataclasses.replace(truth, t_ns=k * INERTIAL_PERIOD_NS))) for k in range(DRAWS)]
+        [channels(sensor.sample(msgspec.structs.replace(truth, t_ns=k * INERTIAL_PERIOD_NS))) for k in range(DRAWS)]
     )
 
 
@@ -67,7 +67,7 @@ def test_without_noise_the_measurement_is_the_truth(
     yaw: float, pitch: float, roll: float, v_body: tuple[float, float, float]
 ) -> None:
     R = rotation_from_euler(yaw, pitch, roll)
-    truth = dataclasses.replace(state_at(0), R_ned_body=R, v_ned_m_s=R @ np.array(v_body))
+    truth = msgspec.structs.replace(state_at(0), R_ned_body=R, v_ned_m_s=R @ np.array(v_body))
     s = InertialSensor(Quiet()).sample(truth)
     np.testing.assert_allclose(s.euler_rad, (yaw, pitch, roll), atol=1e-9)
     np.testing.assert_allclose(s.v_ned_m_s, truth.v_ned_m_s, atol=1e-9)
@@ -81,16 +81,16 @@ def test_without_noise_the_measurement_is_the_truth(
 def test_a_gust_moves_the_airspeed_and_not_the_flow_angles() -> None:
     calm = InertialSensor(np.random.default_rng(3)).sample(state_at(0))
     gusty = InertialSensor(np.random.default_rng(3)).sample(
-        dataclasses.replace(state_at(0), v_air_body_m_s=np.array([220.0, 5.0, 20.0]))
+        msgspec.structs.replace(state_at(0), v_air_body_m_s=np.array([220.0, 5.0, 20.0]))
     )
     assert gusty.airspeed_m_s > calm.airspeed_m_s + 10
-    assert dataclasses.replace(gusty, airspeed_m_s=calm.airspeed_m_s) == calm
+    assert msgspec.structs.replace(gusty, airspeed_m_s=calm.airspeed_m_s) == calm
 
 
 def test_velocity_carries_the_noise_of_speed_flow_angles_and_attitude() -> None:
     sensor = InertialSensor(np.random.default_rng(5))
     truth = state_at(0, (0.0, ALPHA_RAD, 0.0))
-    samples = [sensor.sample(dataclasses.replace(truth, t_ns=k * INERTIAL_PERIOD_NS)) for k in range(5000)]
+    samples = [sensor.sample(msgspec.structs.replace(truth, t_ns=k * INERTIAL_PERIOD_NS)) for k in range(5000)]
     error = np.array([s.v_ned_m_s for s in samples]) - truth.v_ned_m_s
     across = SPEED_M_S * math.sqrt(2 * 1e-9 / 0.05)  # yaw and beta, pitch and alpha
     np.testing.assert_allclose(error[:, 1:].std(axis=0), [across, across], rtol=0.06)
@@ -100,7 +100,7 @@ def test_velocity_carries_the_noise_of_speed_flow_angles_and_attitude() -> None:
 def test_gps_covariance_is_noise_power_over_sample_time() -> None:
     sensor = GpsSensor(np.random.default_rng(11))
     truth = state_at(0)
-    fixes = [sensor.sample(dataclasses.replace(truth, t_ns=k * GPS_PERIOD_NS)) for k in range(DRAWS)]
+    fixes = [sensor.sample(msgspec.structs.replace(truth, t_ns=k * GPS_PERIOD_NS)) for k in range(DRAWS)]
     error = np.array([fix.p_ned_m for fix in fixes if fix is not None]) - truth.p_ned_m
     np.testing.assert_allclose(error.var(axis=0), [1e-3 / 0.1] * 3, rtol=0.05)
     assert np.abs(np.corrcoef(error.T) - np.eye(3)).max() < 0.04

@@ -2,7 +2,6 @@
 
 import resource
 from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +158,7 @@ def test_no_truth_is_left_out_when_the_wall_clock_is_uneven(tmp_path: Path) -> N
     stamps = [k * 20_000_000 + (-1) ** k * 10_000 for k in range(51)]  # 19.98 and 20.02 ms apart
     with TruthLog(tmp_path, setup) as log:
         for t_ns in stamps:
-            log.append(replace(truth, t_ns=t_ns), br)
+            log.append(msgspec.structs.replace(truth, t_ns=t_ns), br)
     kept, series = log.series()
     assert kept.tolist() == stamps
     assert series.shape == (51, 3)
