@@ -44,8 +44,8 @@ SIGMA_M_S = {"none": 0.0, "light": 1.13, "moderate": 2.24, "severe": 6.43}
 """MIL-F-8785C Fig. 7 at 6000 m for exceedance probabilities 1e-2, 1e-3 and 1e-5, between its values at 15,000 and
 25,000 ft (as tabulated in JSBSim's FGWinds): 4.6-2.7, 8.0-6.6 and 22.1-20.0 ft/s."""
 WAVES = 1024
-"""A power of two. One field is then within 15 % of the spectra in every octave of 1e-3..0.3 rad/m (rms 7 to 12 %) and
-within 1 % of the variances."""
+"""A power of two. The mean over fields is exact; one field has its octaves of 1e-3..0.26 rad/m off by 6 to 17 % (rms; p
+of the short span below 4e-3 rad/m by up to 40 %, which no flight of a minute can tell), its variances by below 1 %."""
 K_RANGE = (0.1 / SCALE_M, 3.0)
 GOLDEN = 1.1673039782614187
 """Root of g^5 = g + 1: fractional parts of n/g, n/g^2, ... fill the unit cube of four dimensions evenly."""

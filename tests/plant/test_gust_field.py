@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.signal import welch
 
+from sim_bridge.plant.gust_spectra import draw_spectra, dryden_spectra
 from sim_bridge.plant.gusts import (
     K_RANGE,
     SIGMA_M_S,
@@ -87,6 +88,20 @@ def test_spectra_are_those_of_mil_f_8785c_on_any_heading(aircraft: str, heading:
     assert (off < 4.0 * error + 0.03).all(), np.round(ratios.mean(axis=0), 3)
     # One field alone is a fair sample of the formula already, where aircraft and pilots feel it.
     assert ratios[:, :, 3:].std(axis=0).max() < 0.3
+
+
+@pytest.mark.parametrize("b", SPAN.values())
+def test_picture_has_the_same_formulas_as_these_tests(b: float) -> None:
+    omega = np.geomspace(1e-4, 1.0, 30)
+    np.testing.assert_allclose(dryden_spectra(omega, SIGMA, b), expected(omega, b), rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_picture_is_drawn() -> None:
+    figure = draw_spectra("severe", range(1))
+    for ax in figure.axes[:3]:
+        field, formula = (np.log(line.get_xydata()) for line in ax.lines[:2])
+        assert np.abs(field[:, 1] - np.interp(field[:, 0], formula[:, 0], formula[:, 1])).max() < 1.5
 
 
 def test_one_field_has_the_variances() -> None:
