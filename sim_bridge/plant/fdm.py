@@ -20,6 +20,7 @@ from pathlib import Path
 import jsbsim
 import numpy as np
 
+from companion.config import Vec3
 from companion.geometry import Mat
 from sim_bridge.truth import BodyState
 
@@ -45,6 +46,8 @@ GUST = ("atmosphere/gust-north-fps", "atmosphere/gust-east-fps", "atmosphere/gus
 ROTARY_GUST = ("gust/p-rad_sec", "gust/q-rad_sec", "gust/r-rad_sec")
 TRANSFERRED = "inertia/pointmass-weight-lbs[0]"
 BOOM_FORCE = tuple(f"external_reactions/boom/{name}" for name in ("magnitude", "x", "y", "z"))
+BOOM_AT = tuple(f"external_reactions/boom/location-{axis}-in" for axis in "xyz")
+INCH = 0.0254
 FORCE = ("forces/fbx-total-lbs", "forces/fby-total-lbs", "forces/fbz-total-lbs")
 V_AIR = ("velocities/u-aero-fps", "velocities/v-aero-fps", "velocities/w-aero-fps")
 UVW_DOT = ("accelerations/udot-ft_sec2", "accelerations/vdot-ft_sec2", "accelerations/wdot-ft_sec2")
@@ -83,6 +86,7 @@ class Fdm:
         self._set = tuple(self._node(name).set_double_value for name in inputs)
         self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
         self._get_state = tuple(self._node(name).get_double_value for name in STATE)
+        self._get_rates = tuple(self._node(name).get_double_value for name in (*UVW_DOT, *PQR_DOT))
         self._get_felt = tuple(self._node(name).get_double_value for name in (*FORCE, *V_AIR))
         self._set_rotary = tuple(self._node(name).set_double_value for name in ROTARY_GUST)
         self._set_transferred = self._node(TRANSFERRED).set_double_value
@@ -150,10 +154,17 @@ class Fdm:
 
     def set_boom_force(self, force_body_n: tuple[float, float, float]) -> None:
         """Set what the boom does to the receptacle (N, body axes); only aircraft with a receptacle have this force."""
-        size = math.sqrt(sum(f * f for f in force_body_n))
-        direction = [f / size for f in force_body_n] if size > 0.0 else [1.0, 0.0, 0.0]
+        x, y, z = force_body_n
+        size = math.sqrt(x * x + y * y + z * z)
+        direction = (x / size, y / size, z / size) if size > 0.0 else (1.0, 0.0, 0.0)
         for name, value in zip(BOOM_FORCE, (size / LBF, *direction), strict=True):
             self._exec[name] = value
+
+    def set_receptacle(self, at_frd_m: tuple[float, float, float]) -> None:
+        """Say where the boom's force acts; JSBSim's structural axes point aft, right and up."""
+        x, y, z = at_frd_m
+        for name, value in zip(BOOM_AT, (-x, y, -z), strict=True):
+            self._exec[name] = value / INCH
 
     def scale_coefficient(self, name: str, factor: float) -> None:
         """Multiply the aerodynamic coefficient ``coef/name``; raises PlantError when the aircraft has none."""
@@ -181,11 +192,17 @@ class Fdm:
             msg = f"flight dynamics of {self.model!r} are no longer finite (not a number in the state)"
             raise PlantError(msg)
 
+    def motion(self) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+        """Return position and velocity in ``ned``, yaw, pitch and roll, and body rates (m, m/s, rad, rad/s)."""
+        return (
+            (self.p_n, self.p_e, self.p_d), (self.v_n, self.v_e, self.v_d),
+            (self.yaw, self.pitch, self.roll), (self.p, self.q, self.r),
+        )  # fmt: skip
+
     def accelerations(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the rates of change of body velocity (m/s2, in turning axes) and of p, q, r (rad/s2)."""
-        u, v, w = (float(self._exec[name]) * FT for name in UVW_DOT)
-        p, q, r = (float(self._exec[name]) for name in PQR_DOT)
-        return (u, v, w), (p, q, r)
+        u, v, w, p, q, r = [get() for get in self._get_rates]
+        return (u * FT, v * FT, w * FT), (p, q, r)
 
     def rotation(self) -> Mat:
         """Return ``R_ned_body``."""

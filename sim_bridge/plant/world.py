@@ -10,10 +10,11 @@ import math
 
 import numpy as np
 
-from companion.config import AirframeConfig, TankerConfig
+from companion.config import AirframeConfig, TankerConfig, Vec3
 from companion.geometry import Vec
 from sim_bridge.plant.actuators import ActuatorConfig, Actuators
-from sim_bridge.plant.boom import nominal_boom
+from sim_bridge.plant.boom import AirAtBoom, Boom, Carrier, Receptacle
+from sim_bridge.plant.bow_wave import bow_wave_m_s
 from sim_bridge.plant.conditions import PlantConditions
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.gusts import GustField
@@ -53,7 +54,8 @@ class World:
         self._conditions = conditions or PlantConditions()
         self._dt_ns = round(dt_s * 1e9)
         self.t_ns = 0
-        self._boom = nominal_boom(tanker.boom)
+        self._boom = Boom(tanker.boom, self._conditions.boom, dt_s, tanker.box_tanker_m, tanker.window)
+        self._receptacle_frd_m = airframe.receptacle_frd_m
         self._gusts = GustField(turbulence, rng, heading_rad)
         self._wind = Wind(self._conditions.wind)
         self._tanker = Fdm("kc135r", TANKER_INPUTS, dt_s, ALTITUDE_M)
@@ -67,7 +69,9 @@ class World:
         slower = (actuators or ActuatorConfig()).with_delay(errors.actuator_delay_s)
         self._actuators = Actuators(np.array(airframe.trim.effectors), dt_s, slower)
         p_ned_m = self._tanker.rotation() @ np.asarray(start_tanker_m, dtype=np.float64)
+        self._uav.set_receptacle(airframe.receptacle_frd_m)
         self._start_uav(airframe, p_ned_m, heading_rad)
+        self._pulled = False
         self._truth: Truth | None = None
 
     def _start_tanker(self, speed_m_s: float, heading_rad: float) -> TankerTrim:
@@ -89,6 +93,11 @@ class World:
         start_in_wind(self._uav, InitialCondition((n, e, d), v_body, (heading_rad, alpha, 0.0)), self._wind)
 
     @property
+    def boom(self) -> Boom:
+        """The boom: its events and counters, and its operator's stick."""
+        return self._boom
+
+    @property
     def truth(self) -> Truth:
         """This instant, exactly; built when asked for."""
         if self._truth is None:
@@ -96,7 +105,7 @@ class World:
                 t_ns=self.t_ns,
                 uav=self._uav.state(self.t_ns),
                 tanker=self._tanker.state(self.t_ns),
-                boom=self._boom,
+                boom=self._boom.state,
                 uav_effectors=self._actuators.position.copy(),
             )
         return self._truth
@@ -110,16 +119,32 @@ class World:
         self._uav.set_inputs((*self._actuators.position.tolist(), *self._wake_increments()))
         self._tanker_autopilot.step()
         self._meet_gust(self._uav)
-        self._meet_gust(self._tanker)
+        air_ned_m_s = self._meet_gust(self._tanker)
         self._uav.step()
         self._tanker.step()
         self.t_ns += self._dt_ns
+        if self._conditions.boom.operator != "fixed":
+            self._step_boom(air_ned_m_s)
 
-    def _meet_gust(self, aircraft: Fdm) -> None:
+    def _step_boom(self, air_ned_m_s: Vec3) -> None:
+        tanker, uav, boom = self._tanker, self._uav, self._boom
+        air = AirAtBoom(tanker.air_density_kg_m3(), air_ned_m_s, bow_wave_m_s)
+        carrier = Carrier(*tanker.motion(), *tanker.accelerations())
+        boom.step(carrier, Receptacle(*uav.motion(), self._receptacle_frd_m), air)
+        pull = boom.force_on_receptacle_ned_n
+        if boom.contact or self._pulled:
+            self._pulled = boom.contact
+            x, y, z = (uav.rotation().T @ pull).tolist()
+            uav.set_boom_force((x, y, z))
+            uav.set_transferred(boom.given_kg)
+            tanker.set_transferred(-boom.given_kg)
+
+    def _meet_gust(self, aircraft: Fdm) -> Vec3:
+        """Put the aircraft into the air at its place; return that air's velocity."""
         wind_n, wind_e = self._wind.at(-aircraft.p_d)
         if self._gusts.calm:
             aircraft.set_gust(wind_n, wind_e, 0.0)
-            return
+            return wind_n, wind_e, 0.0
         # Where the aircraft is in the air that drifts with the wind.
         drift_n, drift_e = self._wind.at(0.0)
         t_s = self.t_ns * 1e-9
@@ -129,6 +154,7 @@ class World:
         )
         aircraft.set_gust(wind_n + north, wind_e + east, down)
         aircraft.set_rotary_gust(p, q, r)
+        return wind_n + north, wind_e + east, down
 
     def _wake_increments(self) -> tuple[float, ...]:
         if self._wake is None:
