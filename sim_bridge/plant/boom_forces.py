@@ -24,7 +24,7 @@ STOP_N_M = 2.0e5
 """Stiffness of the telescope's stops; those of the joints are as stiff at ``STOP_ARM_M``. Estimated: a boom that runs
 at 1 m/s into its stop goes 4 cm into it."""
 STOP_DAMPING = 7.0e3
-STOP_ARM_M = 5.0
+STOP_ARM_M = 10.0
 SLIP_M_S = 0.02
 """Dry friction is whole from about this speed on; below, it is viscous."""
 NODES = (0.1127016653792583, 0.5, 0.8872983346207417)

@@ -6,7 +6,8 @@ Rules
   rest stands still. Forces, loops and actuators see what the boom was at its beginning.
 * Free, the stick commands rates and the loops hold angles and length: the operator moves a reference, and ruddevators
   and drive follow it (elevation by both surfaces alike, azimuth by their difference). Gains are in units of motion, and
-  inertia and dynamic pressure turn them into deflections, so that they are the same at any speed and length.
+  inertia and dynamic pressure turn them into deflections, so that they are the same at any speed and length. What the
+  surfaces' own stiffness in the flow asks for at the reference is added, so that the loops have less to find.
 * Latched, angles and length are the receptacle's business: surfaces and drive move until it neither pulls nor pushes.
 """
 
@@ -130,21 +131,28 @@ def authority(par: Any, s: Any) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
+def weathercock(par: Any, elevation: float, azimuth: float) -> tuple[float, float]:
+    """Return the deflections (up, right) with which the surfaces make no lift there, in flow along the tanker."""
+    return par.rigged - math.atan(math.tan(elevation) * par.cos_v), math.atan(math.tan(azimuth) * par.sin_v)
+
+
+@njit(cache=True, nogil=True)
 def steer(par: Any, given: Any, s: Any, dt_s: float) -> None:
     """Command surfaces and drive towards the operator's reference."""
     m4, m5, m6 = masses_of(
         s.theta4, s.theta5, s.d6, par.m_outer, par.com_outer, par.m_inner, par.com_inner, par.j_across, par.j_along
     )
     up, right = authority(par, s)
+    up_there, right_there = weathercock(par, given.elevation, given.azimuth)
     off = (math.pi - s.theta4) - given.elevation
     wanted = K_ANGLE * off + K_ANGLE_RATE * (-s.rate4 - given.elevation_rate)
-    command = m4 * (wanted + K_ANGLE_SUM * s.sum_e) / max(up, 1.0)
+    command = up_there + m4 * (wanted + K_ANGLE_SUM * s.sum_e) / max(up, 1.0)
     s.up_command = min(max(command, -par.limit), par.limit)
     if s.up_command == command:
         s.sum_e += off * dt_s
     off = given.azimuth - (s.theta5 + 0.5 * math.pi)
     wanted = K_ANGLE * off + K_ANGLE_RATE * (given.azimuth_rate - s.rate5)
-    command = m5 * (wanted + K_ANGLE_SUM * s.sum_a) / max(right, 1.0)
+    command = right_there + m5 * (wanted + K_ANGLE_SUM * s.sum_a) / max(right, 1.0)
     s.right_command = min(max(command, -par.limit), par.limit)
     if s.right_command == command:
         s.sum_a += off * dt_s
@@ -169,8 +177,9 @@ def relieve(par: Any, s: Any, seen: Any, dt_s: float) -> None:
     s.right_command += share * seen.pull_right * s.d6 / max(right, 1.0)
     s.right_command = min(max(s.right_command, -par.limit), par.limit)
     s.drive = min(max(s.drive + share * seen.pull_along, -par.drive_force), par.drive_force)
-    s.sum_e = s.up_command * up / (m4 * K_ANGLE_SUM)
-    s.sum_a = s.right_command * right / (m5 * K_ANGLE_SUM)
+    up_there, right_there = weathercock(par, math.pi - s.theta4, s.theta5 + 0.5 * math.pi)
+    s.sum_e = (s.up_command - up_there) * up / (m4 * K_ANGLE_SUM)
+    s.sum_a = (s.right_command - right_there) * right / (m5 * K_ANGLE_SUM)
     s.sum_l = s.drive / (m6 * K_LENGTH_SUM)
 
 
