@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim_bridge.plant.conditions import CourseConfig
+from companion.config import AirframeConfig, TankerConfig
+from sim_bridge.plant.conditions import CourseConfig, PlantConditions
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.gusts import GustField
 from sim_bridge.plant.tanker import INPUTS, Course, TankerAutopilot, trim_tanker
+from sim_bridge.plant.world import World
 
 Array = NDArray[np.float64]
 DT, SPEED, G = 0.005, 205.69, 9.80665
@@ -198,3 +200,14 @@ def test_print_how_the_tanker_moves(turbulence: str) -> None:
                       axis=0)
     print("\n{}: sigma across {:.2f} m/s, vertical {:.2f} m/s, roll {:.2f} degrees, height {:.1f} m".format(
         turbulence, *figures))
+
+
+def test_world_flies_the_course_of_its_conditions(tanker: TankerConfig, airframe: AirframeConfig) -> None:
+    course = CourseConfig(kind="racetrack", bank_rad=math.radians(9.0), leg_s=1.0, turn="left")
+    world = World(tanker, airframe, (-300.0, 0.0, 200.0), "none", False, np.random.default_rng(1),
+                  conditions=PlantConditions(course=course))
+    for _ in range(1200):
+        world.step(np.array(airframe.trim.effectors))
+    R = world.truth.tanker.R_ned_body
+    assert math.degrees(math.atan2(R[2, 1], R[2, 2])) == pytest.approx(-9.0, abs=0.5)
+    assert abs(world.truth.tanker.p_ned_m[2]) < 1.0
