@@ -1,13 +1,16 @@
 """The regulator of the surfaces in a bare loop: plant, INS and offsets as the companion sends them, nothing else.
 
-``scan`` prints what weights do over some seeds; run this file for a table about the ones in force.
+``scan`` prints what weights do; as a program this prints it for those in force, in three kinds of weather and for each
+of them halved and doubled. Tune on seeds from 1000 on.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
+import msgspec
 import numpy as np
 
 from companion.config import Setup
@@ -17,6 +20,7 @@ from sim_bridge.autopilot.setpoints import OffsetCommand
 from sim_bridge.plant.actuators import ActuatorConfig, default_channels
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.plant.world import World
+from sim_bridge.scenario import load_scenario
 from sim_bridge.sensors import InertialSample, InertialSensor, Triple
 from sim_bridge.truth import BodyState, Truth
 
@@ -40,6 +44,7 @@ class Conditions:
     fix_every: int = 10
     fix_age_s: float = 0.03
     fix_sigma_m: float = 0.01
+    start_br_m: Triple = (0.0, 0.0, 0.0)
 
 
 def actuators_with(extra_delay_s: float) -> ActuatorConfig:
@@ -47,14 +52,14 @@ def actuators_with(extra_delay_s: float) -> ActuatorConfig:
 
 
 class Loop:
-    """One flight that starts with the receptacle in the box."""
+    """One flight that starts with the receptacle in the box, or ``start_br_m`` from it."""
 
     def __init__(self, setup: Setup, seed: int, conditions: Conditions) -> None:
         gust, own, tanker, vision = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
         self._c = conditions
         self._box, self._arm = np.array(setup.tanker.box_tanker_m), np.array(setup.airframe.receptacle_frd_m)
         self.world = World(
-            setup.tanker, setup.airframe, self._box - self._arm, conditions.turbulence, conditions.wake, gust,
+            setup.tanker, setup.airframe, self._box - self._arm + conditions.start_br_m, conditions.turbulence, conditions.wake, gust,
             actuators=actuators_with(conditions.extra_actuator_delay_s),
         )  # fmt: skip
         self._own, self._tanker, self._vision = InertialSensor(own), InertialSensor(tanker), vision
@@ -115,8 +120,9 @@ class Loop:
 def with_air_data(sample: InertialSample, truth: BodyState) -> InertialSample:
     """Return the sample with V, alpha and beta of the motion through the air, gusts included."""
     u, v, w = truth.v_air_body_m_s.tolist()
-    speed = float(np.sqrt(u * u + v * v + w * w))
-    return replace(sample, speed_m_s=speed, alpha_rad=float(np.arctan2(w, u)), beta_rad=float(np.arcsin(v / speed)))
+    speed = math.sqrt(u * u + v * v + w * w)
+    alpha, beta = math.atan2(w, u), math.asin(v / speed)
+    return msgspec.structs.replace(sample, speed_m_s=speed, alpha_rad=alpha, beta_rad=beta)
 
 
 def fly(
@@ -131,3 +137,47 @@ def fly(
 def share_inside(br: Mat, half_m: Triple, seconds: float) -> float:
     """Return the share of the asked time that was flown inside +-half_m."""
     return float((np.abs(br) <= np.array(half_m)).all(axis=1).sum()) / round(seconds / DT_S)
+
+
+def scan(
+    setup: Setup, variants: dict[str, RegulatorWeights], seeds: tuple[int, ...], seconds: float = 60.0,
+    skip_s: float = 10.0, **conditions: object,
+) -> None:  # fmt: skip
+    """Print deviation, largest mean and largest BR per axis after ``skip_s``, and the least share in the window."""
+    window = setup.tanker.window.desired_m
+    for name, weights in variants.items():
+        tracks = [fly(setup, seed, seconds, weights, **conditions) for seed in seeds]
+        flown = [t[min(round(skip_s / DT_S), len(t) // 2) :] for t in tracks]
+        sigma = np.mean([t.std(axis=0) for t in flown], axis=0)
+        mean = np.max([np.abs(t.mean(axis=0)) for t in flown], axis=0)
+        largest = np.max([np.abs(t).max(axis=0) for t in flown], axis=0)
+        share = min(share_inside(t, window, seconds) for t in tracks)
+        cells = "  ".join(" ".join(f"{v:6.3f}" for v in row) for row in (sigma, mean, largest))
+        print(f"{name:24} {cells}  {share:6.3f}  {min(len(t) for t in tracks) * DT_S:5.1f} s", flush=True)
+
+
+def neighbours(weights: RegulatorWeights) -> dict[str, RegulatorWeights]:
+    """Return the weights with every one of them halved and doubled, axis by axis."""
+    out = {"in force": weights}
+    for field in fields(weights):
+        value = getattr(weights, field.name)
+        for factor in (0.5, 2.0):
+            if isinstance(value, tuple):
+                for k, axis in enumerate("xyz"):
+                    changed = tuple(v * factor if i == k else v for i, v in enumerate(value))
+                    out[f"{field.name} {axis} x{factor}"] = replace(weights, **{field.name: changed})
+            else:
+                out[f"{field.name} x{factor}"] = replace(weights, **{field.name: value * factor})
+    return out
+
+
+def main() -> None:
+    setup = load_scenario("docking").setup()
+    print(f"{'':24} {'sigma x y z':20}  {'|mean|':20}  {'largest':20}  in the window")
+    for turbulence in ("light", "moderate", "severe"):
+        scan(setup, {turbulence: RegulatorWeights()}, (1001, 1002, 1003), turbulence=turbulence)
+    scan(setup, neighbours(RegulatorWeights()), (1001, 1002))
+
+
+if __name__ == "__main__":
+    main()
