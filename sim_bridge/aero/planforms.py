@@ -79,9 +79,8 @@ def kc135r() -> tuple[Trapezoid, ...]:
     tail = Trapezoid(
         tail.left_frd_m, tail.right_frd_m, tail.left_chord_m, tail.right_chord_m, 5, 6, controls=elevator
     )
-    fin = Trapezoid(
-        (-13.6, 0.0, -2.0), (-18.4, 0.0, -9.1), 6.4, 2.6, 6, 6, controls=(Control("rudder", (0.70, 0.70)),)
-    )
+    rudder = Control("rudder", (0.70, 0.70), gain=-1.0)  # trailing edge left, as in CR-2144
+    fin = Trapezoid((-13.6, 0.0, -2.0), (-18.4, 0.0, -9.1), 6.4, 2.6, 6, 6, controls=(rudder,))
     return wing, wing.mirrored(), tail, tail.mirrored(), fin
 
 
