@@ -39,12 +39,15 @@ def parser() -> argparse.ArgumentParser:
     _flight(f, _fly)
     f.add_argument("--detections", action="store_true",
                    help="the camera hands over detections instead of pictures: several times as fast")
-    _flight(commands.add_parser("sitl", help="fly a scenario as two processes on the wall clock"), _sitl)
+    sitl = commands.add_parser("sitl", help="fly a scenario as two processes on the wall clock")
+    _flight(sitl, _sitl)
+    _stick(sitl)
     s = commands.add_parser("serve", help="simulate on the wall clock and wait for a companion of yours")
     _scenario(s)
     s.add_argument("--mavlink", metavar="URL", help="where the companion listens, e.g. udpin:127.0.0.1:14540")
     s.add_argument("--datalink", metavar="PTY_LINK", help="name of the link to the tanker's serial line")
     s.add_argument("--camera", metavar="ENDPOINT", help="where pictures go out, e.g. tcp://127.0.0.1:14560")
+    _stick(s)
     s.set_defaults(action=_serve)
     study = commands.add_parser("study", help="reproduce chapter 7 of the thesis and write a report")
     study.add_argument("--seed", type=int, default=1, help="seed of the flights and of all noise (default: 1)")
@@ -64,6 +67,11 @@ def _scenario(p: argparse.ArgumentParser) -> None:
     p.add_argument("scenario", nargs="?", default="docking", metavar="SCENARIO",
                    help="a scenario file or the name of a shipped one (default: docking)")
     p.add_argument("--seed", type=int, help="seed of gusts and sensors")
+
+
+def _stick(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--stick", metavar="URL", help="work the boom with a joystick: MANUAL_CONTROL that comes in here, "
+                   "e.g. udpin:127.0.0.1:14570")
 
 
 def _flight(p: argparse.ArgumentParser, action: Callable[[argparse.Namespace], int]) -> None:
@@ -100,6 +108,9 @@ def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
         scenario = replace(scenario, seed=a.seed)
     if getattr(a, "detections", False):
         scenario = replace(scenario, vision_input="detections")
+    if getattr(a, "stick", None) is not None:
+        plant = scenario.plant
+        scenario = replace(scenario, plant=replace(plant, boom=replace(plant.boom, operator="joystick")))
     path = Path(scenario.companion)
     config = load_toml(path, CompanionConfig)
     given = {k: v for k in ("mavlink", "camera") if (v := getattr(a, k, None)) is not None}
@@ -123,7 +134,7 @@ def _fly(a: argparse.Namespace) -> int:
 
 def _sitl(a: argparse.Namespace) -> int:
     scenario, setup = load(a)
-    return _told(fly_sitl(scenario, setup), setup)
+    return _told(fly_sitl(scenario, setup, a.stick), setup)
 
 
 def _told(flown: Flown, setup: Setup) -> int:
@@ -151,7 +162,7 @@ def _serve(a: argparse.Namespace) -> int:
     wires = f"calling a companion at {links.mavlink}; tanker on {links.datalink}; pictures on {links.camera}"
     served = serve(
         scenario, setup, lambda: asked, lambda truth: None,
-        lambda: print(wires, flush=True), lambda: print("companion heard: flying", flush=True),
+        lambda: print(wires, flush=True), lambda: print("companion heard: flying", flush=True), a.stick,
     )
     print(f"served {served.flown_s:.1f} s, {served.late_steps} steps late"
           + (f", plant failed: {served.plant_failure}" if served.plant_failure else ""))

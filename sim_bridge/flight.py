@@ -24,7 +24,7 @@ from companion.ports import Recorder
 from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
-from sim_bridge.scoring import score
+from sim_bridge.scoring import refuelling, score
 from sim_bridge.simulation import TRUTH_EVERY, Arrivals, BoxTruth, Simulation, nominal_heading_rad
 from sim_bridge.truth import Truth
 from sim_bridge.truth_log import TruthLog
@@ -135,7 +135,7 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
         result = score(truth_log.series(), phases, setup.tanker.window, scenario)
         summary = recorder.write_summary(
             {
-                **result, "seed": scenario.seed, "scenario": scenario.name,
+                **result, **refuelling(simulation.world.boom), "seed": scenario.seed, "scenario": scenario.name,
                 "vision_input": scenario.vision_input, "plant_failure": failure,
                 "interrupted": interrupted, "flown_s": simulation.truth.t_ns * NS,
                 "real_time_factor": round(simulation.truth.t_ns / wall_ns, 2),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from companion.config import WindowConfig
 from companion.geometry import Mat
 from companion.messages import NS, Phase, PhaseChange
+from sim_bridge.plant.boom import Boom
 from sim_bridge.scenario import Scenario
 
 Series = tuple[NDArray[np.int64], Mat]
@@ -52,6 +53,17 @@ def score(series: Series, phases: Sequence[PhaseChange], window: WindowConfig, s
         "time_to_window_s": float(t_ns[desired.argmax()] - t_ns[0]) * NS if desired.any() else None,
         **statistics(hold),
         "breakaway": broke[0] if broke else None,
+    }
+
+
+def refuelling(boom: Boom) -> dict[str, Any]:
+    """Return what ``summary.json`` says of contact and fuel; ``boom_events`` seconds since the start, and what."""
+    return {
+        "contacts": boom.contacts,
+        "disconnects": boom.disconnects,
+        "fuel_given_kg": round(boom.given_kg, 3),
+        "boom_peak_load_n": round(boom.peak_load_n, 1),
+        "boom_events": [[round(t_s, 3), what] for t_s, what in boom.events],
     }
 
 

@@ -10,8 +10,9 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from companion.config import ConfigError, Setup
 from companion.io.camera import ZmqFrameSender
@@ -21,7 +22,9 @@ from companion.messages import CameraFrame
 from sim_bridge.datalink import PtyLink
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
+from sim_bridge.scoring import refuelling
 from sim_bridge.simulation import STEP_NS, TRUTH_EVERY, Simulation
+from sim_bridge.stick import StickPort
 from sim_bridge.truth import Truth
 
 LATE_NS = 2 * STEP_NS
@@ -38,6 +41,7 @@ class Served:
     late_steps: int
     plant_failure: str | None = None
     interrupted: bool = False
+    refuelling: dict[str, Any] = field(default_factory=dict)
 
 
 class PtyLine:
@@ -101,12 +105,13 @@ def rehearse(scenario: Scenario, setup: Setup) -> None:
 
 def serve(
     scenario: Scenario, setup: Setup, stop: Callable[[], bool], see: Callable[[Truth], None],
-    ready: Callable[[], None], heard: Callable[[], None] = lambda: None,
+    ready: Callable[[], None], heard: Callable[[], None] = lambda: None, stick_url: str | None = None,
 ) -> Served:
     """Serve one flight until ``stop``; ``see`` takes the truth at 50 Hz.
 
     ``ready`` is called when all wires are up, ``heard`` when a companion has answered; Ctrl-C after ``ready`` ends the
-    serving as ``stop`` does. Raises ConfigError when a wire is not free, or the scenario's camera gives no pictures.
+    serving as ``stop`` does. ``stick_url``: where the boom operator's joystick comes in. Raises ConfigError when a wire
+    is not free, or the scenario's camera gives no pictures.
     """
     if scenario.vision_input != "pictures":
         msg = (f'scenario {scenario.name}: vision_input = "{scenario.vision_input}" flies in lockstep only; '
@@ -121,6 +126,9 @@ def serve(
         # The pty last: it would take its name from a simulator that runs, and that one's camera port is busy.
         pty = PtyLink(scenario.datalink.rate_baud, pty_link(links.datalink))
         stack.callback(pty.close)
+        stick = None if stick_url is None else StickPort(stick_url)
+        if stick is not None:
+            stack.callback(stick.close)
         executor = stack.enter_context(ThreadPoolExecutor(1))
         rehearse(scenario, setup)
         simulation = Simulation(scenario, setup, PtyLine(pty), executor)
@@ -131,13 +139,19 @@ def serve(
         except KeyboardInterrupt:
             return Served(0.0, 0, interrupted=True)
         heard()
-        return _pace(simulation, transport, camera, stop, see)
+        return _pace(simulation, Wires(transport, camera, stick), stop, see)
 
 
-def _pace(
-    simulation: Simulation, transport: UdpTransport, camera: ZmqFrameSender, stop: Callable[[], bool],
-    see: Callable[[Truth], None],
-) -> Served:
+@dataclass(frozen=True, slots=True)
+class Wires:
+    """What is plugged in."""
+
+    transport: UdpTransport
+    camera: ZmqFrameSender
+    stick: StickPort | None
+
+
+def _pace(simulation: Simulation, wires: Wires, stop: Callable[[], bool], see: Callable[[Truth], None]) -> Served:
     next_ns = time.monotonic_ns()
     step = late = 0
     failure, interrupted = None, False
@@ -152,21 +166,24 @@ def _pace(
             next_ns += STEP_NS
             if step % TRUTH_EVERY == 0:
                 see(simulation.truth)
-            _exchange(simulation, transport, camera)
+            _exchange(simulation, wires)
             step += 1
     except PlantError as error:
         failure = str(error)
     except KeyboardInterrupt:
         interrupted = True
-    return Served(step * STEP_NS * 1e-9, late, failure, interrupted)
+    return Served(step * STEP_NS * 1e-9, late, failure, interrupted, refuelling(simulation.world.boom))
 
 
-def _exchange(simulation: Simulation, transport: UdpTransport, camera: ZmqFrameSender) -> None:
+def _exchange(simulation: Simulation, wires: Wires) -> None:
     """Answer what has come since the last step, run one step, send what it brings."""
+    transport = wires.transport
     for data, _ in transport.poll():
         transport.send(simulation.feed_mavlink(data, simulation.truth.t_ns))
+    if wires.stick is not None:
+        simulation.world.boom.stick(*wires.stick.poll(time.monotonic_ns()))
     arrivals = simulation.step()
     transport.send(arrivals.mavlink)
     for frame in arrivals.frames:
         if isinstance(frame, CameraFrame):
-            camera.send(frame)
+            wires.camera.send(frame)

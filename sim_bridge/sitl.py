@@ -74,7 +74,7 @@ class CompanionProcess:
             self._process.wait()
 
 
-def fly_sitl(scenario: Scenario, setup: Setup) -> Flown:
+def fly_sitl(scenario: Scenario, setup: Setup, stick_url: str | None = None) -> Flown:
     """Fly a scenario on the wall clock with a companion process of its own.
 
     Raises ConfigError when a wire is not free, and when the companion did not start or ended as it should not; then
@@ -82,7 +82,7 @@ def fly_sitl(scenario: Scenario, setup: Setup) -> Flown:
     """
     flight = _SitlFlight(scenario, setup)
     try:
-        served = serve(scenario, setup, flight.stop, flight.see, flight.ready, flight.heard)
+        served = serve(scenario, setup, flight.stop, flight.see, flight.ready, flight.heard, stick_url)
     finally:
         flight.close()
     folder, truth_log = flight.recording
@@ -174,8 +174,8 @@ def _write_summary(folder: Path, scenario: Scenario, served: Served, result: dic
     path = folder / "summary.json"
     own = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     summary = {
-        **own, **result, "seed": scenario.seed, "scenario": scenario.name, "late_steps": served.late_steps,
-        "flown_s": served.flown_s, "plant_failure": served.plant_failure, "interrupted": served.interrupted,
+        **own, **result, **served.refuelling, "seed": scenario.seed, "scenario": scenario.name,
+        "late_steps": served.late_steps, "flown_s": served.flown_s, "plant_failure": served.plant_failure, "interrupted": served.interrupted,
     }
     path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary

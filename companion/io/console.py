@@ -178,6 +178,8 @@ def result_table(summary: dict[str, Any], window: WindowConfig) -> str:
     console.print(_statistics_table(summary))
     if summary.get("latency_ms"):
         console.print(_latency_table(summary["latency_ms"]))
+    if summary.get("contacts"):
+        console.print(_refuelling(summary), highlight=False, markup=False)
     rejects = ", ".join(f"{reason} {n}" for reason, n in summary.get("rejects", {}).items())
     console.print(f"rejects: {rejects or 'none'}", highlight=False, markup=False)
     return out.getvalue().rstrip("\n")
@@ -193,6 +195,15 @@ def _verdict(summary: dict[str, Any]) -> Text:
     if summary.get("breakaway"):
         text.append(f"; breakaway: {summary['breakaway']}", "red")
     return text
+
+
+def _refuelling(summary: dict[str, Any]) -> str:
+    contacts = summary["contacts"]
+    lets_go = ", ".join(f"{reason} {n}" for reason, n in summary.get("disconnects", {}).items())
+    return (
+        f"boom: {contacts} contact{'s' if contacts > 1 else ''}, {summary['fuel_given_kg']:.0f} kg of fuel given, "
+        f"peak load {summary['boom_peak_load_n'] / 1e3:.1f} kN; disconnects: {lets_go or 'none'}"
+    )
 
 
 def _window_table(summary: dict[str, Any], window: WindowConfig) -> Table:
