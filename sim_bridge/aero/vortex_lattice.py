@@ -208,13 +208,13 @@ def moving(
     return onset
 
 
-def coefficients(solution: Solution, reference: Reference, speed_m_s: float, alpha_rad: float) -> Mat:
-    """Return (..., 6) in the order of ``Coefficients``; lift and drag about a stream with ``alpha_rad``."""
+def coefficients(solution: Solution, reference: Reference, speed_m_s: float, alpha_rad: float | Vec) -> Mat:
+    """Return (..., 6) in the order of ``Coefficients``; lift and drag about a stream with ``alpha_rad`` (...)."""
     scale = 2.0 / (speed_m_s * speed_m_s * reference.area_m2)
     fx, fy, fz = np.moveaxis(scale * solution.force, -1, 0)
     about = solution.moment - np.cross(np.array(reference.point_frd_m), solution.force)
     roll, pitch, yaw = np.moveaxis(scale * about, -1, 0)
-    ca, sa = math.cos(alpha_rad), math.sin(alpha_rad)
+    ca, sa = np.cos(alpha_rad), np.sin(alpha_rad)
     b, c = reference.span_m, reference.chord_m
     return np.stack([-fx * ca - fz * sa, fx * sa - fz * ca, pitch / c, roll / b, yaw / b, fy], axis=-1)
 
