@@ -21,7 +21,7 @@ from companion.config import ConfigError, Setup, Struct, Vec3, load, load_setup
 from companion.messages import Command
 from sim_bridge.plant.conditions import PlantConditions, plant_rules
 from sim_bridge.scene.conditions import PictureConditions, condition_rules
-from sim_bridge.sensor_conditions import MarkerSensorConditions, sensor_rules
+from sim_bridge.sensor_conditions import SensorConditions, sensor_rules
 
 SCENARIOS = Path(__file__).resolve().parent / "scenarios"
 
@@ -61,8 +61,9 @@ class Scenario(Struct, frozen=True, kw_only=True):
 
     ``companion`` is the companion TOML; ``load_scenario`` makes it a path from anywhere. ``hold_s`` is how long the
     receiver stays in the window, ``timeout_s`` when the flight ends whatever happens. ``picture``: light and clutter;
-    ``plant``: wind, the tanker's course, the boom, errors of the airframe's data. ``vision_input``: what the camera
-    hands over, pictures or, quicker by far, detections of ``markers`` (``sim_bridge.marker_sensor``; lockstep only).
+    ``plant``: wind, the tanker's course, the boom, errors of the airframe's data. ``sensors``: outages and biases
+    of GPS, drift of the INS. ``vision_input``: what the camera hands over, pictures or, quicker by far, detections of
+    ``sensors.markers`` (``sim_bridge.marker_sensor``; lockstep only).
     """
 
     name: str
@@ -80,7 +81,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     picture: PictureConditions = PictureConditions()
     plant: PlantConditions = PlantConditions()
     vision_input: Literal["pictures", "detections"] = "pictures"
-    markers: MarkerSensorConditions = MarkerSensorConditions()
+    sensors: SensorConditions = SensorConditions()
 
     def setup(self) -> Setup:
         """Load the companion configuration and what it names."""
@@ -138,7 +139,7 @@ def check(s: Scenario, path: Path) -> None:
         (0 < s.criteria.in_window_fraction <= 1, "criteria.in_window_fraction: must be in 0..1"),
         *condition_rules(s.picture),
         *plant_rules(s.plant),
-        *sensor_rules(s.markers),
+        *sensor_rules(s.sensors),
     ]
     for holds, text in rules:
         if not holds:

@@ -28,6 +28,8 @@ from sim_bridge.plant.world import World
 from sim_bridge.scenario import Scenario
 from sim_bridge.scene.camera_picture import CLEAR_DAY, CameraPicture
 from sim_bridge.scene.conditions import PictureConditions
+from sim_bridge.sensor_conditions import GpsErrors
+from sim_bridge.sensor_errors import GpsBias
 from sim_bridge.truth import Truth
 
 STEP_NS = 5_000_000
@@ -106,19 +108,21 @@ class Simulation:
     ) -> None:
         """Put everything at its start; ``serial`` and ``executor`` are what the wall clock needs (see ``serve``)."""
         # One stream of chance for each thing that draws, so that a change in one leaves the others as they were.
-        seeds = np.random.SeedSequence(scenario.seed).spawn(4)
-        gust, own, tanker, camera = (np.random.default_rng(s) for s in seeds)
+        seeds = np.random.SeedSequence(scenario.seed).spawn(5)
+        gust, own, tanker, camera, satellites = (np.random.default_rng(s) for s in seeds)
         self.world = World(
             setup.tanker, setup.airframe, np.array(scenario.start_tanker_m), scenario.turbulence, scenario.wake, gust,
             scenario.heading_rad, conditions=scenario.plant,
         )
-        self.autopilot = StandInAutopilot(setup.airframe, own)
-        self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz)
+        sensors = scenario.sensors
+        common = GpsBias(sensors.common_gps, satellites) if sensors.common_gps != GpsErrors() else None
+        self.autopilot = StandInAutopilot(setup.airframe, own, sensors=sensors.receiver, common_gps=common)
+        self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz, sensors.tanker, common)
         self._origin_altitude_m = setup.config.links.origin_altitude_m
         self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
         self._camera = (
             Camera(setup, camera, executor, scenario.picture) if scenario.vision_input == "pictures"
-            else MarkerCamera(setup, camera, scenario.markers)
+            else MarkerCamera(setup, camera, scenario.sensors.markers)
         )
         self._operator = ScheduledOperator(setup.config.links, scenario.commands)
 

@@ -16,8 +16,12 @@ from sim_bridge.autopilot.regulator import SurfaceRegulator
 from sim_bridge.autopilot.setpoints import AttitudeCommand, OffsetCommand
 from sim_bridge.autopilot.telemetry import Origin
 from sim_bridge.autopilot.vehicle import Vehicle
+from sim_bridge.sensor_conditions import AircraftSensors, GpsErrors
+from sim_bridge.sensor_errors import GpsBias
 from sim_bridge.sensors import GpsFix, GpsSensor, InertialSample, InertialSensor, Triple
 from sim_bridge.truth import BodyState
+
+THESIS_SENSORS = AircraftSensors()
 
 HAND_OVER_S = 0.5
 """Time constant with which the last commands of one law go over into those of the other."""
@@ -26,16 +30,22 @@ HAND_OVER_S = 0.5
 class Navigation:
     """Sensors of one aircraft and the position that follows from them."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        """Split the generator, so that inertial noise does not depend on how often GPS draws."""
-        inertial, gps = rng.spawn(2)
-        self._inertial = InertialSensor(inertial)
-        self._gps = GpsSensor(gps)
+    def __init__(
+        self, rng: np.random.Generator, conditions: AircraftSensors = THESIS_SENSORS, common_gps: GpsBias | None = None
+    ) -> None:
+        """Split the generator, so that inertial noise does not depend on how often GPS draws.
+
+        ``common_gps``: what GPS errs by for both aircraft, one and the same process.
+        """
+        inertial, gps, bias = rng.spawn(3)
+        biases = [GpsBias(conditions.gps, bias)] if conditions.gps != GpsErrors() else []
+        self._inertial = InertialSensor(inertial, conditions.ins)
+        self._gps = GpsSensor(gps, biases if common_gps is None else [*biases, common_gps], conditions.gps_outages)
         self._reckoner = DeadReckoner()
 
     def measure(self, truth: BodyState) -> tuple[InertialSample, Triple | None, GpsFix | None]:
         """Return the inertial sample, the position at its instant (None before the first fix), and a new fix."""
-        sample, fix = self._inertial.sample(truth), self._gps.sample(truth)
+        sample, fix = self._inertial.sample(truth, self._gps.out(truth.t_ns)), self._gps.sample(truth)
         return sample, self._reckoner.update(sample, fix), fix
 
 
@@ -69,11 +79,12 @@ class StandInAutopilot:
     """The receiver's autopilot: truth and bytes in, effector commands and bytes out, every ``dt_s``."""
 
     def __init__(
-        self, airframe: AirframeConfig, rng: np.random.Generator, *, dt_s: float = 0.005, origin: Origin | None = None
+        self, airframe: AirframeConfig, rng: np.random.Generator, *, dt_s: float = 0.005, origin: Origin | None = None,
+        sensors: AircraftSensors = THESIS_SENSORS, common_gps: GpsBias | None = None,
     ) -> None:
         """Build the autopilot of ``airframe``; ``rng`` is for its sensors alone."""
         self.vehicle = Vehicle(airframe, dt_s=dt_s, origin=origin)
-        self._navigation = Navigation(rng)
+        self._navigation = Navigation(rng, sensors, common_gps)
         self._loops = InnerLoops(airframe, dt_s)
         self._regulator = SurfaceRegulator(airframe, dt_s)
         self._hand_over = HandOver(math.exp(-dt_s / HAND_OVER_S))
@@ -121,9 +132,12 @@ class StandInAutopilot:
 class TankerReporter:
     """What the tanker tells over the datalink: its own sensors' state, at a fixed rate."""
 
-    def __init__(self, rng: np.random.Generator, rate_hz: float = 25.0) -> None:
+    def __init__(
+        self, rng: np.random.Generator, rate_hz: float = 25.0, sensors: AircraftSensors = THESIS_SENSORS,
+        common_gps: GpsBias | None = None,
+    ) -> None:
         """Report ``rate_hz`` times a second; ``rng`` is for the tanker's sensors alone."""
-        self._navigation = Navigation(rng)
+        self._navigation = Navigation(rng, sensors, common_gps)
         self._period_ns = round(1e9 / rate_hz)
         self._next_ns = 0
 

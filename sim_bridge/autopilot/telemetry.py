@@ -4,7 +4,8 @@ Rules
 -----
 * A stamp is the instant of the inertial sample that the content comes from. Steps fall on whole milliseconds, so the
   millisecond stamps of MAVLink lose nothing.
-* A position that is not known yet is not sent; GPS_RAW_INT then says that there is no fix.
+* A position that is not known yet is not sent; GPS_RAW_INT then says that there is no fix. It says so as well while
+  the position is dead reckoned, because fixes have stopped coming.
 * Intervals can be changed message by message (MAV_CMD_SET_MESSAGE_INTERVAL) up to ``MAX_RATE_HZ``.
 """
 
@@ -127,6 +128,7 @@ class Builders:
             dialect.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
             dialect.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
+            dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
         }
 
     def _global_position_int(self, s: Snapshot) -> Message | None:
@@ -191,6 +193,17 @@ def sys_status(s: Snapshot) -> Message:
     return dialect.MAVLink_sys_status_message(
         SENSORS, SENSORS, healthy | dialect.MAV_SYS_STATUS_GEOFENCE, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0
     )
+
+
+def estimator_status(s: Snapshot) -> Message:
+    """Build ESTIMATOR_STATUS, sent on request: position absolute with GPS, relative by dead reckoning."""
+    flags = dialect.ESTIMATOR_ATTITUDE | dialect.ESTIMATOR_VELOCITY_HORIZ | dialect.ESTIMATOR_VELOCITY_VERT
+    if s.fix is not None:
+        flags |= dialect.ESTIMATOR_POS_HORIZ_ABS | dialect.ESTIMATOR_PRED_POS_HORIZ_ABS | dialect.ESTIMATOR_POS_VERT_ABS
+    elif s.p_ned_m is not None:
+        flags |= dialect.ESTIMATOR_POS_HORIZ_REL | dialect.ESTIMATOR_PRED_POS_HORIZ_REL
+    unknown = math.nan  # the ratios and accuracies of a filter that is not there
+    return dialect.MAVLink_estimator_status_message(s.sample.t_ns // 1000, flags, *(unknown,) * 8)
 
 
 def attitude_quaternion(s: Snapshot) -> Message:

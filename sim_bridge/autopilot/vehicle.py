@@ -6,6 +6,8 @@ Rules
   counted in ``rejects`` and changes nothing.
 * A setpoint lives ``SETPOINT_LIFE_NS``. Then the vehicle holds wings level and speed, says so (STATUSTEXT, HEARTBEAT
   critical) and follows again as soon as a valid setpoint comes.
+* Without a fix for ``GPS_LOST_NS`` it goes on by dead reckoning and says so: GPS_RAW_INT without a fix, the bit of
+  SYS_STATUS, ESTIMATOR_STATUS for who asks, and a STATUSTEXT when it begins and ends.
 * In MANUAL it holds as well: there is no stick in the simulation.
 * Every COMMAND_LONG and COMMAND_INT addressed to it is acknowledged; what it does not know is UNSUPPORTED.
 * Messages to others, and its own echoes, are left alone.
@@ -32,6 +34,9 @@ from sim_bridge.autopilot.telemetry import DEFAULT_RATES_HZ, Builders, Origin, S
 from sim_bridge.sensors import GpsFix, InertialSample, Triple
 
 SETPOINT_LIFE_NS = 500_000_000
+
+GPS_LOST_NS = 500_000_000
+"""A fix is 0.1 to 0.2 s old while they come."""
 
 MODES = {"MANUAL": 0, "GUIDED": 15}
 """custom_mode by name; the numbers are ArduPlane's, which ground stations know."""
@@ -71,6 +76,7 @@ class Vehicle:
         self._setpoint: AttitudeCommand | VelocityCommand | OffsetCommand | None = None
         self._setpoint_ns = 0
         self._lost = False
+        self._gps_lost = False
         self._seen: tuple[InertialSample, Triple | None, GpsFix | None] | None = None
         self._handlers: dict[str, Callable[[Message, int], None]] = {
             "SET_ATTITUDE_TARGET": lambda m, t_ns: self._take_setpoint(attitude_command, m, t_ns),
@@ -109,9 +115,7 @@ class Vehicle:
         self, sample: InertialSample, p_ned_m: Triple | None, fix: GpsFix | None = None
     ) -> AttitudeCommand | OffsetCommand | None:
         """Take what is measured now; return what inner loops or regulator shall fly, None to hold wings and speed."""
-        if fix is None and self._seen is not None:
-            fix = self._seen[2]
-        self._seen = (sample, p_ned_m, fix)
+        self._seen = (sample, p_ned_m, self._fix_in_use(fix, sample.t_ns))
         if self._setpoint is not None and sample.t_ns - self._setpoint_ns > SETPOINT_LIFE_NS:
             self._setpoint = None
             self._lost = True
@@ -119,6 +123,20 @@ class Vehicle:
         if isinstance(self._setpoint, VelocityCommand):
             return self._loop.step(self._setpoint, sample, p_ned_m)
         return self._setpoint
+
+    def _fix_in_use(self, fix: GpsFix | None, t_ns: int) -> GpsFix | None:
+        """Return the newest fix while it is fresh; None before the first and when they have stopped coming."""
+        if fix is not None:
+            if self._gps_lost:
+                self._gps_lost = False
+                self._say(dialect.MAV_SEVERITY_NOTICE, "GPS is back")
+            return fix
+        last = None if self._seen is None else self._seen[2]
+        if last is None or t_ns - last.t_ns <= GPS_LOST_NS:
+            return last
+        self._gps_lost = True
+        self._say(dialect.MAV_SEVERITY_WARNING, "GPS lost: dead reckoning")
+        return None
 
     def outgoing(self, t_ns: int) -> bytes:
         """Return the frames that are due at ``t_ns``: answers, and streams once that instant has been measured."""
