@@ -175,7 +175,8 @@ def _write_summary(folder: Path, scenario: Scenario, served: Served, result: dic
     own = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     summary = {
         **own, **result, **served.refuelling, "seed": scenario.seed, "scenario": scenario.name,
-        "late_steps": served.late_steps, "flown_s": served.flown_s, "plant_failure": served.plant_failure, "interrupted": served.interrupted,
+        "late_steps": served.late_steps, "flown_s": served.flown_s, "plant_failure": served.plant_failure,
+        "interrupted": served.interrupted,
     }
     path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.config import AirframeConfig
+from companion.config import AirframeConfig, TankerConfig
 from companion.geometry import euler_from_rotation, exp_so3
 from sim_bridge.autopilot.inner_loops import InnerLoops, Sensed
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
@@ -175,9 +175,18 @@ def test_wake_pulls_the_receiver_down(make_world: MakeWorld, airframe: AirframeC
     assert disturbed.v_ned_m_s[0] < clean.v_ned_m_s[0]
 
 
-def test_boom_hangs_where_its_configuration_says(make_world: MakeWorld) -> None:
-    tip = make_world().truth.boom.tip_tanker_m()
-    np.testing.assert_allclose(tip, [-16.5 - 11.5 * math.cos(math.pi / 6), 0.0, 2.0 + 5.75])
+def test_boom_hangs_ready_clear_of_the_box(
+    make_world: MakeWorld, tanker: TankerConfig, airframe: AirframeConfig
+) -> None:
+    world = make_world()
+    for _ in range(400):
+        world.step(np.array(airframe.trim.effectors))
+    boom = world.truth.boom
+    assert boom.elevation_rad == pytest.approx(tanker.boom.elevation_rad, abs=0.02)
+    assert boom.azimuth_rad == pytest.approx(0.0, abs=0.02)
+    assert boom.length_m == pytest.approx(tanker.boom.ready_length_m, abs=0.05)
+    gap = np.array(tanker.box_tanker_m) - boom.tip_tanker_m()
+    assert np.linalg.norm(gap) > 1.0
 
 
 def test_command_that_is_not_a_number_is_refused(make_world: MakeWorld, airframe: AirframeConfig) -> None:
