@@ -88,3 +88,22 @@ def test_impossible_values_are_refused_by_name(tmp_path: Path, text: str, words:
 
 def test_start_near_contact_is_not_inside_the_tanker(tmp_path: Path) -> None:
     assert load_scenario(write(tmp_path, "start_tanker_m = [-29.0, 0.0, 9.0]")).start_tanker_m[2] == 9.0
+
+
+@pytest.mark.parametrize(("text", "culprit"), [
+    ("[sensors.receiver.gps]\nbias_ned_m = [0.0, nan, 0.0]", "sensors.receiver.gps.bias_ned_m"),
+    ("[sensors.common_gps]\nslow_sigma_m = -1.0", "sensors.common_gps.slow_sigma_m"),
+    ("[sensors.tanker.gps]\nslow_s = 0.0", "sensors.tanker.gps.slow_s"),
+    ("[[sensors.tanker.gps_outages]]\nfrom_s = 5.0\nuntil_s = 5.0", "sensors.tanker.gps_outages"),
+    ("[[sensors.receiver.gps_outages]]\nfrom_s = -1.0\nuntil_s = 5.0", "sensors.receiver.gps_outages"),
+    ("[[sensors.receiver.gps_outages]]\nfrom_s = 1.0", "until_s"),
+    ("[sensors.receiver.ins]\nattitude_drift_rad_s = [1.0, 0.0, 0.0]", "4.85e-6"),
+    ("[sensors.receiver.ins]\nattitude_walk = inf", "sensors.receiver.ins.attitude_walk"),
+    ("[sensors.receiver.ins]\ngyro_bias_rad_s = [0.0, 0.0]", "gyro_bias_rad_s"),
+    ("[sensors.receiver.ins]\nvelocity_drift_m_s2 = [0.0, 9.81, 0.0]", "sensors.receiver.ins.velocity_drift_m_s2"),
+    ("[sensors.receiver.ins]\nvelocity_walk = -0.1", "sensors.receiver.ins.velocity_walk"),
+    ("[sensors.tanker.ins]\naccelerometer_noise_power = nan", "sensors.tanker.ins.accelerometer_noise_power"),
+    ("[sensors.receiver]\ngps_bias = 3", "gps_bias"),
+])
+def test_sensors_that_cannot_be_are_refused_naming_the_field(tmp_path: Path, text: str, culprit: str) -> None:
+    assert culprit in refusal(tmp_path, text)

@@ -11,8 +11,10 @@ from companion.io.datalink import FRAME_SIZE, FrameParser, encode_frame
 from companion.io.mavlink_codec import MavlinkCodec, Message, dialect
 from companion.messages import TankerState
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
+from sim_bridge.autopilot.standin import THESIS_SENSORS
 from sim_bridge.plant.world import World
 from sim_bridge.scenario import load_scenario
+from sim_bridge.sensor_conditions import AircraftSensors, Outage
 from sim_bridge.truth import BodyState
 
 NS = 1_000_000_000
@@ -27,10 +29,12 @@ def setup() -> Setup:
 class Flight:
     """World and autopilot in a loop, as ``sim_bridge.simulation`` closes it."""
 
-    def __init__(self, setup: Setup, turbulence: str = "none", seed: int = 1) -> None:
+    def __init__(
+        self, setup: Setup, turbulence: str = "none", seed: int = 1, sensors: AircraftSensors = THESIS_SENSORS
+    ) -> None:
         gust, own = np.random.default_rng(seed).spawn(2)
         self.world = World(setup.tanker, setup.airframe, (-50.0, -20.0, 30.0), turbulence, False, gust)
-        self.autopilot = StandInAutopilot(setup.airframe, own)
+        self.autopilot = StandInAutopilot(setup.airframe, own, sensors=sensors)
         self.codec = MavlinkCodec(1, 191)
         self.said = b""
         self.effectors: list[np.ndarray] = []
@@ -113,6 +117,38 @@ def test_told_state_is_the_true_one_within_its_noise(setup: Setup) -> None:
         true = truth[m.time_boot_ms * 1_000_000]
         assert np.abs(np.array([m.x, m.y, m.z]) - true.p_ned_m).max() < 0.5
         assert np.abs(np.array([m.vx, m.vy, m.vz]) - true.v_ned_m_s).max() < 0.25
+
+
+def test_without_gps_it_dead_reckons_and_says_so(setup: Setup) -> None:
+    sensors = AircraftSensors(gps_outages=(Outage(from_s=2.0, until_s=5.0),))
+    flight = Flight(setup, "light", sensors=sensors)
+    ask = dialect.MAVLink_command_long_message(
+        1, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 1e5, 0, 0, 0, 0, 0
+    )
+    flight.autopilot.feed(flight.codec.pack(ask), 0)
+    truth = {}
+    for _ in range(1400):
+        truth[flight.uav.t_ns] = flight.uav
+        flight.fly(0.005)
+    heard = flight.heard()
+    assert [m.text for m in heard if m.get_type() == "STATUSTEXT"] == ["GPS lost: dead reckoning", "GPS is back"]
+    fixes = [m for m in heard if m.get_type() == "GPS_RAW_INT" and m.time_usec > 0.5e6]
+    without = [m.time_usec * 1e-6 for m in fixes if m.fix_type == dialect.GPS_FIX_TYPE_NO_FIX]
+    assert min(without) == pytest.approx(2.5, abs=0.15)
+    assert max(without) == pytest.approx(5.0, abs=0.15)
+    assert len(without) == pytest.approx(26, abs=2)
+    status = [m for m in heard if m.get_type() == "ESTIMATOR_STATUS"]
+    absolute = {bool(m.flags & dialect.ESTIMATOR_POS_HORIZ_ABS) for m in status if 3.0 < m.time_usec * 1e-6 < 5.0}
+    assert absolute == {False}
+    assert status[-1].flags & dialect.ESTIMATOR_POS_HORIZ_ABS
+    healthy = [m.onboard_control_sensors_health & dialect.MAV_SYS_STATUS_SENSOR_GPS for m in heard
+               if m.get_type() == "SYS_STATUS"]
+    assert {bool(h) for h in healthy} == {False, True}
+    told = [m for m in heard if m.get_type() == "LOCAL_POSITION_NED"]
+    assert np.diff([m.time_boot_ms for m in told]).max() == 20  # positions go on coming
+    for m in told:
+        away = np.array([m.x, m.y, m.z]) - truth[m.time_boot_ms * 1_000_000].p_ned_m
+        assert np.abs(away).max() < 0.6
 
 
 def test_same_seed_gives_the_same_bits_and_another_does_not(setup: Setup) -> None:
