@@ -12,16 +12,24 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from companion.config import ConfigError, Setup
+from companion.config import ConfigError, Setup, Vec3
+from companion.geometry import SE3
 from companion.io.recorder import read_records
 from companion.io.rerun_view import screenshot
 from sim_bridge.flight import fly
 from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.scene.camera_picture import CameraPicture
+from sim_bridge.scene.conditions import PictureConditions
+from sim_bridge.scene.operator_view import OperatorView
 from sim_bridge.simulation import Simulation
+from sim_bridge.truth import BoomState
 
 AXES = ("x (forward)", "y (right)", "z (down)")
+CONTACT_TANKER_M = (-29.0, 0.0, 9.0)
+COMING_NEAR_M = 7.0
+GAP_PX = 8
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,6 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     flown = fly(scenario, setup)
     draw_br(flown.folder, setup, out / "br.png")
     draw_cameras(scenario, out / "cameras.jpg")
+    draw_conditions(scenario, out / "conditions.jpg")
+    draw_operator(flown.folder, setup, out / "operator.jpg")
     try:
         screenshot(flown.folder, out / "viewer.png")
     except ConfigError as error:
@@ -79,19 +89,66 @@ def draw_br(folder: Path, setup: Setup, png: Path) -> None:
 def draw_cameras(scenario: Scenario, jpg: Path) -> None:
     """Draw what both cameras see at the start and at contact, side by side."""
     rows = []
-    for start_m in (scenario.start_tanker_m, (-29.0, 0.0, 9.0)):
-        row = []
-        for name in ("docking", "thesis"):
-            setup = load_scenario(name).setup()
-            # The start of the flight is checked against the tanker's extent; a picture may be taken anywhere.
-            at = msgspec.structs.replace(scenario, start_tanker_m=start_m, turbulence="none")
-            truth = Simulation(at, setup).truth
-            camera = CameraPicture(setup.camera, setup.tanker, np.random.default_rng(scenario.seed))
-            image = camera.render(truth.tanker.T_ned_body(), truth.uav.T_ned_body(), truth.boom)
-            scale = 480 / image.shape[0]
-            row.append(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST))
-        rows.append(np.hstack([row[0], np.full((480, 8, 3), 255, np.uint8), row[1]]))
-    picture = np.vstack([rows[0], np.full((8, rows[0].shape[1], 3), 255, np.uint8), rows[1]])
+    for start_m in (scenario.start_tanker_m, CONTACT_TANKER_M):
+        images = [taken(scenario, start_m, name) for name in ("docking", "thesis")]
+        scales = [480 / image.shape[0] for image in images]
+        rows.append([cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+                     for image, scale in zip(images, scales, strict=True)])
+    write_sheet(rows, jpg)
+
+
+def draw_conditions(scenario: Scenario, jpg: Path) -> None:
+    """Draw what the default camera sees half way and at contact by day, by night, into a low sun and in cloud."""
+    x, y, z = (0.5 * (a + b) for a, b in zip(scenario.start_tanker_m, CONTACT_TANKER_M, strict=True))
+    rows = []
+    for start_m in ((x, y, z), CONTACT_TANKER_M):
+        images = [taken(scenario, start_m, name) for name in ("docking", "night", "low_sun", "cloud")]
+        rows.append([cv2.resize(image, (480, 360), interpolation=cv2.INTER_AREA) for image in images])
+    for image, name in zip(rows[0], ("day", "night", "low sun", "cloud"), strict=True):
+        cv2.putText(image, name, (10, 345), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 1, cv2.LINE_AA)
+    write_sheet(rows, jpg)
+
+
+def taken(scenario: Scenario, start_m: Vec3, name: str) -> NDArray[np.uint8]:
+    """Return the picture (h, w, 3) that the camera of the shipped scenario ``name``, in its light, takes at a place."""
+    shown = load_scenario(name)
+    setup = shown.setup()
+    # The start of the flight is checked against the tanker's extent; a picture may be taken anywhere.
+    truth = Simulation(msgspec.structs.replace(scenario, start_tanker_m=start_m, turbulence="none"), setup).truth
+    chance = np.random.default_rng(scenario.seed)
+    camera = CameraPicture(setup.camera, setup.tanker, chance, conditions=shown.picture)
+    return camera.expose(truth.tanker, truth.uav, truth.boom)
+
+
+def draw_operator(folder: Path, setup: Setup, jpg: Path) -> None:
+    """Draw what the boom operator sees of a flight: the receiver coming near, in contact, at the end (thesis Fig. 2.6).
+
+    A flight without contact shows the middle of its hold in its place.
+    """
+    truth = np.load(folder / "truth.npz")
+    near = np.sqrt(np.sum(truth["p_mrf_br_m"] ** 2, axis=1)) < COMING_NEAR_M
+    coming = int(np.argmax(near))
+    touching = np.flatnonzero(truth["boom"][:, 3] > 0)
+    middle = int(touching[len(touching) // 2]) if len(touching) else (coming + len(near)) // 2
+    view = OperatorView(PictureConditions(), np.random.default_rng(1))
+    images = []
+    for k in (coming, middle):
+        elevation, azimuth, length, contact, right, left = (float(v) for v in truth["boom"][k])
+        boom = BoomState(np.array(setup.tanker.boom.pivot_tanker_m), elevation, azimuth, length, contact > 0,
+                         ruddevators_rad=(right, left))
+        images.append(view.render(SE3(truth["R_ned_tanker"][k], truth["p_ned_tanker_m"][k]),
+                                  SE3(truth["R_ned_frd"][k], truth["p_ned_uav_m"][k]), boom))
+    write_sheet([images], jpg)
+
+
+def write_sheet(rows: list[list[NDArray[np.uint8]]], jpg: Path) -> None:
+    """Write rows of pictures of one height to a file, with white lines between."""
+    sheets = []
+    for row in rows:
+        line = np.full((row[0].shape[0], GAP_PX, 3), 255, np.uint8)
+        sheets.append(np.hstack([part for image in row for part in (image, line)][:-1]))
+    line = np.full((GAP_PX, sheets[0].shape[1], 3), 255, np.uint8)
+    picture = np.vstack([part for sheet in sheets for part in (sheet, line)][:-1])
     cv2.imwrite(str(jpg), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
