@@ -107,6 +107,9 @@ class Boom:
         self._automatic = AutomaticOperator(config, window or WindowConfig(), conditions.contact_after_s, dt_s)
         self._stick = StickOperator(config, dt_s) if conditions.operator == "joystick" else None
         self._schedule = sorted(conditions.stick, key=lambda s: s.at_s)
+        if self._fixed is None:
+            # Compiles now, so that no flight against the clock waits for it in its first step.
+            advance(self._par, self._given.copy(), self._s.copy(), self._seen.copy(), dt_s)
         self.seen = Seen._make(self._seen_flat.tolist())
 
     def step(self, tanker: Carrier, receiver: Receptacle, air: AirAtBoom) -> None:

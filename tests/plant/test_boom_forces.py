@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from sim_bridge.plant.boom_dynamics import direction_of, jacobian_of
 from sim_bridge.plant.boom_forces import (
@@ -19,7 +20,7 @@ from sim_bridge.plant.boom_forces import (
     ruddevator_forces,
     tube_forces,
 )
-from sim_bridge.plant.boom_motion import K_ANGLE, K_ANGLE_RATE, K_ANGLE_SUM, advance, integrate
+from sim_bridge.plant.boom_motion import K_ANGLE, K_ANGLE_RATE, K_ANGLE_SUM, advance, carry, integrate, rotation
 from sim_bridge.plant.boom_records import PRESCRIBED, SEEN, STATE, Record, parameters, record
 
 PAR = parameters(bench.TANKER.boom, bench.TANKER.box_tanker_m)
@@ -211,3 +212,67 @@ def test_latched_boom_stays_stable_at_200_hz_for_twice_the_stiffness_and_damping
         for _ in range(600):
             integrate(par[0], given_[0], s[0], bench.DT_S)
         assert abs(s["rate4"][0]) + abs(s["rate5"][0]) + abs(s["rate6"][0]) < 1e-3
+
+
+def test_pivot_moves_as_equation_2_2_says() -> None:
+    """Velocity and acceleration of P by differences of its place in ERF, on a tanker that turns and accelerates."""
+    rng = np.random.default_rng(5)
+    P = np.array(bench.TANKER.boom.pivot_tanker_m)
+    v0, a0, w0, w1 = rng.normal(0, 80, 3), rng.normal(0, 4, 3), rng.normal(0, 0.3, 3), rng.normal(0, 0.3, 3)
+    R0 = Rotation.random(rng=rng)
+
+    def pivot(t: float) -> np.ndarray:
+        R = R0 * Rotation.from_rotvec(w0 * t + 0.5 * w1 * t * t)
+        return v0 * t + 0.5 * a0 * t * t + R.apply(P)
+
+    h = 1e-3
+    speed = (pivot(h) - pivot(-h)) / (2 * h)
+    pull = (pivot(h) - 2 * pivot(0.0) + pivot(-h)) / h**2
+    R, wind = R0.as_matrix(), np.array([5.0, -3.0, 1.0])
+    given_, s = record(PRESCRIBED), record(STATE)
+    yaw, pitch, roll = R0.as_euler("ZYX")
+    told = {
+        ("t_vn", "t_ve", "t_vd"): v0, ("t_yaw", "t_pitch", "t_roll"): (yaw, pitch, roll), ("t_p", "t_q", "t_r"): w0,
+        ("t_udot", "t_vdot", "t_wdot"): R.T @ a0 - np.cross(w0, R.T @ v0), ("t_pdot", "t_qdot", "t_rdot"): w1,
+        ("wind_n", "wind_e", "wind_d"): wind,
+    }  # fmt: skip
+    for names, values in told.items():
+        for name, value in zip(names, values, strict=True):
+            given_[name] = value
+    carry(PAR[0], given_[0], s[0], rotation(yaw, pitch, roll))
+    f = [float(s[n][0]) for n in ("f_x", "f_y", "f_z")]
+    np.testing.assert_allclose(f, R.T @ (pull - [0.0, 0.0, bench.GRAVITY]), atol=1e-3)
+    air = [float(s[n][0]) for n in ("air_x", "air_y", "air_z")]
+    np.testing.assert_allclose(air, R.T @ (speed - wind), atol=1e-3)
+
+
+def test_boom_hangs_the_same_in_a_coordinated_turn_but_for_the_load() -> None:
+    """15 degrees of bank: the specific force stays along the tanker's down axis, and so does the boom."""
+    bank = math.radians(15.0)
+    rate = bench.GRAVITY * math.tan(bank) / bench.SPEED_M_S
+    given_, s, seen = bench.given_for(math.radians(30), 10.3, bench.SPEED_M_S), record(STATE), record(SEEN)
+    s["theta4"], s["theta5"], s["d6"] = math.pi - math.radians(30), -0.5 * math.pi, 10.3
+    given_["t_pitch"], given_["t_roll"] = 0.0, bank
+    given_["t_q"], given_["t_r"] = rate * math.sin(bank), rate * math.cos(bank)
+    for _ in range(6000):
+        assert advance(PAR, given_, s, seen, bench.DT_S)
+    assert abs(math.degrees(seen["elevation"][0]) - 30.0) < 0.05
+    assert abs(math.degrees(seen["azimuth"][0])) < 0.05
+    assert float(s["f_z"][0]) == pytest.approx(-bench.GRAVITY / math.cos(bank), rel=0.01)
+    assert abs(float(s["f_y"][0])) < 0.05
+    assert abs(math.degrees(s["left"][0] - s["right"][0])) < 2.0
+
+
+@pytest.mark.parametrize("latched", [0.0, 1.0])
+def test_a_step_of_5_ms_is_short_enough(latched: float) -> None:
+    ends = []
+    for parts in (1, 10):
+        s, given_ = in_flow((205.7, 3.0, 9.0), 0.02, -0.02), record(PRESCRIBED)
+        s["theta4"], s["theta5"], s["d6"], s["drive"] = math.pi - 0.5, -1.5, 12.0, -1400.0
+        s["rate4"], s["rate5"], s["rate6"] = 0.05, -0.05, 0.3
+        s["goal_x"], s["goal_y"], s["goal_z"] = 12.0 * np.array(direction_of(math.pi - 0.5, -1.5)) + [0.02, 0.03, -0.01]
+        given_["latched"] = latched
+        for _ in range(200 * parts):
+            integrate(PAR[0], given_[0], s[0], bench.DT_S / parts)
+        ends.append([float(s[name][0]) for name in bench.STATE_NAMES])
+    np.testing.assert_allclose(ends[0], ends[1], atol=2e-4)
