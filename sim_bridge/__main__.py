@@ -17,11 +17,11 @@ import msgspec
 
 from companion import __version__
 from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, vision_options, with_vision_options
-from companion.config import FIRMWARE_CONFIGS, CompanionConfig, ConfigError, Setup, assemble
+from companion.config import CompanionConfig, ConfigError, Setup, assemble
 from companion.config import load as load_toml
 from companion.io.console import FlightConsole, result_table
-from sim_bridge import linearize
 from sim_bridge.flight import Flown, fly
+from sim_bridge.linearize import command as linearize
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.serve import serve
@@ -56,10 +56,11 @@ def parser() -> argparse.ArgumentParser:
     study.add_argument("--only", metavar="PART,...", help="some parts of it: flops, timing, delay, accuracy, noise, "
                        "swap, labeling, convergence, propagation")
     study.set_defaults(action=_study)
-    lin = commands.add_parser("linearize", help="trim and linearise the receiver; print A, B, modes")
-    lin.add_argument("--write", nargs="?", const=str(FIRMWARE_CONFIGS / "airframes" / "ice101.toml"), metavar="FILE",
-                     help="write the airframe data that the companion uses")
+    lin = commands.add_parser("linearize", help="trim and linearise an aircraft; print A, B, modes")
+    linearize.options(lin)
     lin.set_defaults(action=_linearize)
+    aero = commands.add_parser("aero", help="run the vortex lattice; print derivatives beside the aircraft's files")
+    aero.set_defaults(action=_aero)
     return p
 
 
@@ -177,10 +178,14 @@ def _study(a: argparse.Namespace) -> int:
 
 
 def _linearize(a: argparse.Namespace) -> int:
-    result = linearize.write_airframe(Path(a.write)) if a.write else linearize.linearize()
-    print(linearize.report(result))
-    if a.write:
-        print(f"written: {a.write}")
+    print(linearize.run(a))
+    return DOCKED
+
+
+def _aero(_: argparse.Namespace) -> int:
+    from sim_bridge.aero.derivatives import report  # noqa: PLC0415  flights do without it
+
+    print(report())
     return DOCKED
 
 
