@@ -64,6 +64,15 @@ def patch(outline: tuple[tuple[float, float], ...], paint: tuple[float, float, f
     return loft(np.stack(rings), paint)
 
 
+def smooth_ridge(half: Mesh) -> Mesh:
+    """Return the half with normals in the plane of symmetry where it meets the other one, so that no edge shows."""
+    normals = half.normals.copy()
+    seam = (np.abs(half.vertices[:, 1]) < 1e-9) & (np.abs(normals[:, 1]) < 0.9)
+    normals[seam, 1] = 0.0
+    normals[seam] /= np.sqrt(np.sum(normals[seam] ** 2, axis=1))[:, None]
+    return Mesh(half.vertices, half.triangles, half.colours, normals)
+
+
 @lru_cache(maxsize=1)
 def uav_mesh() -> Mesh:
     """Return the receiver in ``frd`` axes."""
@@ -76,5 +85,5 @@ def uav_mesh() -> Mesh:
     receptacle = loft(np.stack([np.column_stack([np.full(4, x), square]) for x in (2.3, 1.7)]), DARK)
     well = np.array([[-0.12, -1.075], [0.12, -1.075], [0.12, -0.9], [-0.12, -0.9]])
     slot = loft(np.stack([np.column_stack([np.full(4, x), well]) for x in (2.15, 1.85)]), BLACK)
-    halves = [right, *plates]
+    halves = [smooth_ridge(right), *plates]
     return merge([*halves, *(h.mirrored() for h in halves), patch(EXHAUST, METAL), receptacle, slot])
