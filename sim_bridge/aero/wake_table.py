@@ -44,13 +44,18 @@ CHORDWISE = 6
 """Panels along a chord; ten change no increment near the box by more than 1 %."""
 
 
+def receiver_lattice() -> Lattice:
+    """Return the receiver as it is put into the wake."""
+    return Lattice([replace(s, n_chord=CHORDWISE) for s in ice101()], MACH)
+
+
 class ReceiverInWake:
     """The receiver's lattice behind one tanker."""
 
     def __init__(self, wake: TankerWake | None = None) -> None:
         """Make lattice and wake."""
         self.wake = wake or trimmed_wake()
-        self._lattice = Lattice([replace(s, n_chord=CHORDWISE) for s in ice101()], MACH)
+        self._lattice = receiver_lattice()
         self._points = np.concatenate((self._lattice.collocation, self._lattice.force_points))
         self._slope = derivatives(self._lattice, ICE, 0.0)["alpha"].CL
         self.alpha_rad = TRIM_CL / self._slope

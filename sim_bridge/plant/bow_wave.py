@@ -2,8 +2,9 @@
 
 Potential flow of two parts. Volume: slender-body sources V dA/ds along the axis (Ashley & Landahl, ch. 6; by Goethert's
 rule the distance from the axis counts sqrt(1 - Mach^2) fold), for a body with area A(s) = 4 A_max (s / l) (1 - s / l).
-Lift: the horseshoe vortices of a coarse lattice of the planform, their velocity smoothed near them, in proportion to
-sin(alpha); control deflections are left out. Good from about a metre off the skin; nearer, and inside, it is held.
+Lift: the horseshoe vortices of a coarse lattice of a triangle with its span and area, their velocity smoothed near them,
+in proportion to sin(alpha); control deflections are left out. Good from about a metre off the skin; nearer, and inside,
+it is held.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ import numpy as np
 from numba import njit
 
 from companion.geometry import Mat
+from sim_bridge.aero.planforms import TIP_M
 from sim_bridge.aero.vortex_lattice import Lattice, Trapezoid, uniform
 
 MACH = 0.65
 BETA = math.sqrt(1.0 - MACH * MACH)
-LENGTH_M = 13.14
-"""Of the receiver: root chord of the delta with its area and span."""
-NOSE_X_M = 7.6
-"""Ahead of the centre of mass: estimated, the aerodynamic centre at 0.6 of the root chord less a margin of 2.8 %."""
+LENGTH_M = 13.145
+"""Of the receiver, nose to tail, which is the root chord of the triangle with its area and span too."""
+NOSE_X_M = 7.344
+"""Ahead of the centre of mass, as in ``aero.planforms``; written out, since compiled kernels keep it."""
 SECTION_M2 = 3.6
 """Largest cross-section: estimated, a centre body 3.5 m wide and 1.3 m deep; the volume is then 32 m3."""
 CORE_M = 1.0
@@ -30,7 +32,7 @@ CORE_M = 1.0
 
 def lift_vortices(n_span: int = 3, n_chord: int = 5) -> Mat:
     """Return the horseshoes (n, 7) for one radian at unit speed: left and right end (m, stretched frd), circulation."""
-    tip = (NOSE_X_M - LENGTH_M, 5.715, 0.0)
+    tip = (NOSE_X_M - LENGTH_M, TIP_M, 0.0)
     right = Trapezoid((NOSE_X_M, 0.0, 0.0), tip, LENGTH_M, 0.0, n_span, n_chord)
     lattice = Lattice([right.mirrored(), right], MACH)
     rise = uniform(1.0, 0.5 * math.pi)

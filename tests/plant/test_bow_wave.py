@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim_bridge.aero.planforms import ICE_CG_BEHIND_NOSE_M, TAIL_M
 from sim_bridge.plant.bow_wave import BETA, LENGTH_M, NOSE_X_M, SECTION_M2, bow_wave, bow_wave_m_s, lift_vortices
 
 SPEED = 205.7
@@ -59,6 +60,11 @@ def test_lift_is_that_of_a_finer_lattice(p: tuple[float, float, float]) -> None:
     fine = np.array(bow_wave(*p, SPEED, math.sin(0.064), FINE)) - clean
     # of up to 5 m/s
     assert np.abs(coarse - fine).max() < 0.6
+
+
+def test_body_is_that_of_the_planform() -> None:
+    assert NOSE_X_M == ICE_CG_BEHIND_NOSE_M
+    assert LENGTH_M == TAIL_M
 
 
 def test_nose_pushes_air_ahead_and_up_over_it() -> None:
