@@ -5,7 +5,7 @@ Rules
 * The step is set before the model is loaded: JSBSim discretises at load.
 * The ground is flat and does not turn (``aircraft/flat_earth.xml``), so that ``ned`` is the same everywhere and
   position is the trapezoidal integral of ``v_ned``; JSBSim's own latitude and longitude are not used.
-* JSBSim says nothing when a state becomes NaN: ``step`` looks and raises ``PlantError``.
+* JSBSim says nothing when a state becomes NaN, or runs away on the way there: ``step`` looks and raises ``PlantError``.
 * Inputs and gusts that are set act from the next ``step`` on: its forces are taken at the end of the step and move the
   aircraft in the one after it.
 """
@@ -30,6 +30,9 @@ LBF = 4.4482216152605
 G_M_S2 = 9.80665
 SLUG_FT3 = 515.3788183932
 """kg/m3 in one slug per cubic foot."""
+
+WILD_M_S, WILD_RAD_S = 3000.0, 100.0
+"""No aircraft of ours flies faster or turns faster: what does is on its way to infinity."""
 
 STATE = (
     "velocities/v-north-fps",
@@ -172,7 +175,7 @@ class Fdm:
         node.set_double_value(node.get_double_value() * factor)
 
     def step(self) -> None:
-        """Advance one step; raises PlantError when a state is not finite."""
+        """Advance one step; raises PlantError when a state is not finite or beyond any flight."""
         v_n, v_e, v_d = self.v_n, self.v_e, self.v_d
         running = self._exec.run()
         self._read()
@@ -187,10 +190,14 @@ class Fdm:
     def _read(self) -> None:
         v_n, v_e, v_d, self.roll, self.pitch, self.yaw, self.p, self.q, self.r = [get() for get in self._get_state]
         self.v_n, self.v_e, self.v_d = v_n * FT, v_e * FT, v_d * FT
-        total = v_n + v_e + v_d + self.roll + self.pitch + self.yaw + self.p + self.q + self.r
-        if not math.isfinite(total):
-            msg = f"flight dynamics of {self.model!r} are no longer finite (not a number in the state)"
-            raise PlantError(msg)
+        speed2 = self.v_n * self.v_n + self.v_e * self.v_e + self.v_d * self.v_d
+        rate2 = self.p * self.p + self.q * self.q + self.r * self.r
+        total = speed2 / WILD_M_S**2 + rate2 / WILD_RAD_S**2 + 1e-9 * (self.roll + self.pitch + self.yaw)
+        if total < 1.0:  # also false for NaN
+            return
+        how = "have run away" if math.isfinite(total) else "are no longer finite"
+        msg = f"flight dynamics of {self.model!r} {how} ({math.sqrt(speed2):.3g} m/s, {math.sqrt(rate2):.3g} rad/s)"
+        raise PlantError(msg)
 
     def motion(self) -> tuple[Vec3, Vec3, Vec3, Vec3]:
         """Return position and velocity in ``ned``, yaw, pitch and roll, and body rates (m, m/s, rad, rad/s)."""

@@ -1,0 +1,49 @@
+"""A plant that comes to grief in flight ends it: recorded, one line, exit code 1."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sim_bridge.__main__ import main
+from sim_bridge.scenario import load_scenario
+
+UNDAMPED = """
+vision_input = "detections"
+hold_s = 5.0
+timeout_s = 30.0
+[plant.airframe]
+effectiveness = 0.01
+[plant.airframe.coefficients]
+Clp = -3.0
+Cmq = -3.0
+Cnr = -3.0
+"""
+
+
+def test_dynamics_that_run_away_end_the_flight_recorded_with_exit_code_one(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "undamped.toml"
+    file.write_text(f'name = "undamped"\ncompanion = "{load_scenario("thesis").companion}"\n{UNDAMPED}')
+    assert main(["fly", str(file), "--out", str(tmp_path / "runs")]) == 1
+    [line] = [s for s in capfd.readouterr().err.splitlines() if s.startswith("sim-bridge:")]
+    assert "plant failed: flight dynamics of 'ice101' have run away" in line
+    [folder] = (tmp_path / "runs").iterdir()
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["plant_failure"] in line
+    assert not summary["docked"]
+    assert 0.0 < summary["flown_s"] < 30.0
+    assert (folder / "events.jsonl").stat().st_size > 0
+    assert (folder / "truth.npz").stat().st_size > 0
+
+
+def test_a_coefficient_that_the_aircraft_lacks_is_named_before_the_flight(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "typo.toml"
+    file.write_text(f'name = "typo"\ncompanion = "{load_scenario("thesis").companion}"\n'
+                    "[plant.airframe.coefficients]\nClq = 2.0\n")
+    assert main(["fly", str(file), "--out", str(tmp_path / "runs")]) == 2
+    assert "coef/Clq" in capfd.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "runs").exists()
