@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 from sim_bridge.aero import planforms
 from sim_bridge.aero.vortex_lattice import Coefficients, Lattice, derivatives
@@ -47,8 +48,9 @@ class Row:
         return self.lattice is not None and abs(self.factor * self.lattice - self.given.value) <= 0.5001 * 10.0**-digits
 
 
+@cache
 def run(name: str, mach: float) -> Derivatives:
-    """Return the lattice's derivatives of aircraft ``name`` at the incidence of its trim."""
+    """Return the lattice's derivatives of aircraft ``name`` at the incidence of its trim; takes a second."""
     surfaces, reference, alpha = {
         "ice101": (planforms.ice101, planforms.ICE, planforms.ICE_ALPHA_RAD),
         "kc135r": (planforms.kc135r, planforms.KC135R, planforms.KC135R_ALPHA_RAD),

@@ -23,7 +23,7 @@ LINE = re.compile(
     r'<property\s+value="(?P<value>[^"]*)">\s*coef/(?P<name>\w+)\s*</property>'
     r"[ \t]*(?:<!--\s*\[(?P<source>[^\]]+)\]\s*(?P<note>.*?)\s*-->)?"
 )
-SLUG_FT2 = LBF / FT * FT * FT
+SLUG_FT2 = LBF * FT
 UNITS = {"M2": 1.0, "M": 1.0, "KG": 1.0, "KG*M2": 1.0, "LBS": 0.45359237, "SLUG*FT2": SLUG_FT2}
 """What one of each unit is in m2, m, kg or kg m2."""
 

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.geometry import Mat
 from sim_bridge.plant.actuators import ActuatorConfig, Actuators, Channel, default_channels
+from sim_bridge.truth import EFFECTORS
 
 DT = 0.005
 NEUTRAL = np.array([0.5, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.1])
@@ -50,9 +52,60 @@ def test_large_step_moves_at_the_rate() -> None:
     assert bank.position[3] == pytest.approx(math.radians(150) * 20 * DT)
 
 
+LIMITS = {
+    "throttle": (0.0, 1.0),
+    "amt": (0.0, math.radians(60)),
+    "tef": (math.radians(-30), math.radians(30)),
+    "lef": (math.radians(-40), math.radians(40)),
+    "pf": (math.radians(-30), math.radians(30)),
+    "ssd": (0.0, math.radians(60)),
+}
+
+
+@pytest.mark.parametrize("index", range(10), ids=EFFECTORS)
+def test_each_input_stops_at_its_limits(index: int) -> None:
+    low, high = LIMITS[EFFECTORS[index].split("_", maxsplit=1)[0]]
+    for command, stop in ((-10.0, low), (10.0, high)):
+        bank = Actuators(NEUTRAL, DT)
+        commands = NEUTRAL.copy()
+        commands[index] = command
+        for _ in range(round(8.0 / DT)):
+            assert bank.step(commands)
+        assert bank.position[index] == pytest.approx(stop, abs=1e-3)
+        others = np.arange(10) != index
+        np.testing.assert_allclose(bank.position[others], NEUTRAL[others], atol=1e-12)
+
+
+def test_right_and_left_are_the_same_actuator() -> None:
+    by_name = dict(zip(EFFECTORS, default_channels(), strict=True))
+    for name, channel in by_name.items():
+        if name.endswith("_r"):
+            assert by_name[f"{name[:-2]}_l"] == channel
+
+
+@pytest.mark.parametrize("extra_s", [0.0, 0.02, 0.035])
+def test_more_delay_is_the_same_response_later(extra_s: float) -> None:
+    def response(config: ActuatorConfig) -> Mat:
+        bank = Actuators(NEUTRAL, DT, config)
+        track = []
+        for _ in range(100):
+            bank.step(NEUTRAL + 0.01)
+            track.append(bank.position.copy())
+        return np.array(track)
+
+    plain = response(ActuatorConfig())
+    later = response(ActuatorConfig().with_delay(extra_s))
+    n = round(extra_s / DT)
+    np.testing.assert_array_equal(later[n:], plain[: 100 - n])
+    np.testing.assert_allclose(later[:n], np.tile(NEUTRAL, (n, 1)))
+
+
 def test_throttle_is_slower_than_every_surface() -> None:
     throttle, *surfaces = default_channels()
     assert all(throttle.lag_s > 5 * c.lag_s for c in surfaces)
+    whole = [(c.high - c.low) / c.rate_per_s for c in surfaces]
+    # Seconds from stop to stop: the leading edge, made for slow changes of camber, is the only one that comes near.
+    assert all((throttle.high - throttle.low) / throttle.rate_per_s >= t for t in whole)
 
 
 def test_not_a_number_moves_nothing() -> None:

@@ -1,19 +1,41 @@
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from companion.config import AirframeConfig, ConfigError, load
-from sim_bridge.linearize import AIRFRAME_FILE, Linearization, linearize, report, write_airframe
+from sim_bridge.__main__ import main
+from sim_bridge.linearize import (
+    AIRFRAME_FILE,
+    Condition,
+    Linearization,
+    TankerModel,
+    coupling,
+    linearize,
+    linearize_tanker,
+    report,
+    structure,
+    tanker_report,
+    write_airframe,
+)
+from sim_bridge.linearize.published import BOEING_747, CONVAIR_880
 from sim_bridge.plant.actuators import default_channels
+from sim_bridge.plant.fdm import PlantError
 from sim_bridge.plant.response import STEP_RAD, second_order_step, step_response
 
 
 @pytest.fixture(scope="module")
 def result() -> Linearization:
     return linearize()
+
+
+@pytest.fixture(scope="module")
+def tanker_model() -> TankerModel:
+    return linearize_tanker()
 
 
 def test_trim_is_balanced_and_inside_the_limits(result: Linearization) -> None:
@@ -37,6 +59,7 @@ def test_modes_are_those_of_the_thesis(result: Linearization) -> None:
     assert len(lateral) == 4
     assert all(v.imag == 0 for v in lateral)
     assert sum(v.real > 0 for v in lateral) == 2  # thesis 3.8
+    assert all(holds for _, _, holds in structure(result.modes))
 
 
 def test_planes_are_decoupled_and_sides_mirror(result: Linearization) -> None:
@@ -44,9 +67,98 @@ def test_planes_are_decoupled_and_sides_mirror(result: Linearization) -> None:
     longitudinal, lateral = [0, 1, 4, 7], [2, 3, 5, 6, 8]
     assert np.abs(A[np.ix_(longitudinal, lateral)]).max() < 1e-6
     assert np.abs(A[np.ix_(lateral, longitudinal)]).max() < 1e-6
+    assert coupling(A)[0] < 1e-6
     sign = np.array([1, 1, -1, -1, 1, -1, -1, 1, -1])
     for right, left in ((1, 2), (3, 4), (5, 6), (8, 9)):
         np.testing.assert_allclose(B[:, right], sign * B[:, left], atol=1e-6)
+
+
+def test_coupling_is_found_and_named() -> None:
+    A = np.eye(9)
+    A[4, 2] = -0.25  # q' over beta
+    assert coupling(A) == (0.25, "q' over beta")
+
+
+def test_structure_tells_what_does_not_hold() -> None:
+    steady = linearize(Condition(factors={"Cnb": -1.0}))  # a fin: dutch roll instead of two unstable real modes
+    assert {m.name for m in steady.modes} >= {"dutch roll", "roll", "spiral"}
+    assert [holds for _, _, holds in structure(steady.modes)] == [True, True, False, False, False, False]
+    assert "FAILS" in report(steady)
+
+
+def test_tanker_trims_and_flies_as_an_airliner(tanker_model: TankerModel) -> None:
+    assert tanker_model.trim.residual < 1e-6
+    assert [m.name for m in tanker_model.modes] == ["short period", "phugoid", "dutch roll", "roll", "spiral"]
+    assert all(m.eigenvalue.real < 0 for m in tanker_model.modes)
+    assert coupling(tanker_model.A)[0] < 1e-6
+    # Within a factor of two of the two published aircraft of its kind, but for the slow spiral.
+    for aircraft in (CONVAIR_880, BOEING_747):
+        for ours, theirs in zip(tanker_model.modes[:4], aircraft.modes()[:4], strict=True):
+            assert 0.5 < abs(ours.eigenvalue) / abs(theirs.eigenvalue) < 2.0, ours.name
+
+
+def test_tanker_has_the_modes_of_the_textbook(tanker_model: TankerModel) -> None:
+    # Two ways from the same coefficients: differences of JSBSim's accelerations, and the small-disturbance equations.
+    for ours, theirs in zip(tanker_model.modes, tanker_model.textbook.modes(), strict=True):
+        assert abs(ours.eigenvalue - theirs.eigenvalue) < 2e-3 * max(abs(ours.eigenvalue), 1.0), ours.name
+
+
+def test_tanker_report_puts_published_modes_beside(tanker_model: TankerModel) -> None:
+    text = tanker_report(tanker_model)
+    for word in ("Convair 880", "Boeing 747", "dutch roll", "residual", "A (columns", "B (columns"):
+        assert word in text
+
+
+def test_phugoid_is_slower_the_faster_it_flies() -> None:
+    # Lanchester: frequency sqrt(2) g / V, so it falls with speed.
+    slow, fast = (
+        next(abs(m.eigenvalue) for m in linearize_tanker(Condition(mach=mach)).modes if m.name == "phugoid")
+        for mach in (0.58, 0.72)
+    )
+    assert slow / fast == pytest.approx(0.72 / 0.58, rel=0.05)
+
+
+@pytest.mark.parametrize("model", [linearize, linearize_tanker])
+@pytest.mark.parametrize(
+    ("condition", "error", "text"),
+    [
+        (Condition(mach=0.9), ConfigError, r"^--mach 0\.9: .* hold for Mach 0\.55 to 0\.75$"),
+        (Condition(mach=math.nan), ConfigError, r"^--mach nan: "),
+        (Condition(altitude_m=12000.0), ConfigError, r"^--altitude 12000: .* hold for 3000 to 9000 m$"),
+        (Condition(factors={"Cxx": 2.0}), ConfigError, r"^--scale Cxx: .* no such coefficient; there are .*CLa"),
+        (Condition(factors={"CLa": 0.0}), PlantError, r"does not trim at Mach 0\.65, 6000 m: "),
+    ],
+)
+def test_what_cannot_be_trimmed_is_told_in_one_line(
+    model: Callable[[Condition], object], condition: Condition, error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=text) as told:
+        model(condition)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--scale", "Cnb"], "--scale Cnb: must be NAME=FACTOR, e.g. Cnb=0.5"),
+        (["--scale", "Cnb=nan"], "--scale Cnb=nan: must be NAME=FACTOR, e.g. Cnb=0.5"),
+        (["--write", "--mach", "0.6"], "--write: the companion's airframe is the receiver at Mach 0.65"),
+        (["--aircraft", "kc135r", "--write"], "--write: the companion's airframe is the receiver at Mach 0.65"),
+    ],
+)
+def test_bad_options_end_in_one_line(options: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["linearize", *options]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert text in told.err
+    assert told.err.count("\n") == 1
+
+
+def test_command_prints_the_tanker(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["linearize", "--aircraft", "kc135r", "--altitude", "5000", "--scale", "Cnb=0.8"]) == 0
+    out = capsys.readouterr().out
+    assert "5000 m" in out.splitlines()[0]
+    assert "with Cnb x 0.8" in out
 
 
 def test_shipped_file_is_what_linearize_finds(result: Linearization) -> None:
