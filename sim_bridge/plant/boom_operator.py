@@ -27,7 +27,8 @@ CLOSE_PER_S, CLOSE_LEAST_M_S, CLOSE_MOST_M_S = 0.8, 0.15, 0.6
 STANDOFF_M = 1.0
 POINTED_M = 0.25
 """The telescope stays ``STANDOFF_M`` away while the nozzle's axis misses the receptacle by more than ``POINTED_M``."""
-STEADY_M_S = 0.6
+STEADY_M_S = 1.2
+"""Steady is a receptacle inside the window that is slower than this; in moderate gusts a held one reaches 1.0."""
 RETRACT_M_S = 0.8
 STICK_RAD_S, STICK_LEAD_RAD, STICK_LEAD_M = 0.05, 0.03, 0.2
 """Rate of the boom at full stick, and how far its reference may run ahead of the boom."""

@@ -20,8 +20,8 @@ from sim_bridge.plant.boom_records import Seen
 
 CLEAR_M = 0.5
 SEAT_S = 0.3
-RUN_M_S = 1.5
-"""A receptacle that moves against the tanker faster than this is leaving."""
+RUN_M_S = 2.0
+"""A receptacle that moves against the tanker faster than this is leaving; held in moderate gusts it reaches 1.0."""
 FLOW_LAG_S = 1.0
 """Estimated: valves and pumps take a few seconds to full flow."""
 
