@@ -14,7 +14,7 @@ place where it should be::
     e_x' = V + E_x,  e_y' = V0 (psi + beta - phi sin alpha0) + E_y,  e_z' = V0 (alpha - theta) + E_z,  E = R0 (w x a)
 
 The place comes from outside (``OffsetCommand``), some tens of milliseconds old; in between e is carried on by the
-receiver's own inertial motion and the velocity of the place. Beyond the thesis: e is cut to ``ERROR_MAX_M``, and an
+receiver's own inertial motion and the velocity of the place. Beyond the thesis: e is cut to ``ERROR_MAX``, and an
 integral waits while it would push an effector further past its limit.
 
 Actuators, delays and the throttle's lag are not in the design: with them as states (10 lags, 30 stored commands) the
@@ -41,7 +41,9 @@ from sim_bridge.plant.actuators import default_channels
 from sim_bridge.sensors import InertialSample, Triple
 from sim_bridge.truth import EFFECTORS
 
-ERROR_MAX_M = 0.7
+ERROR_MAX = 2.0
+"""e is cut to this many of the amounts that it is weighed by: a step of metres would take the effectors to their limits
+and leave nothing for the lateral motion, which is unstable."""
 INTEGRAL_MAX_M_S = 20.0
 HISTORY_NS = 1_000_000_000
 """How far back the instant of a place may lie, and twice the life of a setpoint."""
@@ -202,6 +204,7 @@ class SurfaceRegulator:
         self._V0, self._alpha0 = airframe.trim.airspeed_m_s, airframe.trim.alpha_rad
         self._sin_alpha0 = math.sin(self._alpha0)
         self._dt_s = dt_s
+        self._reach_m = ERROR_MAX * np.array(self._weights.error_m)
         self._carried = CarriedError(np.array(airframe.receptacle_frd_m), dt_s, self._weights.fix_s)
         self.reset()
 
@@ -219,7 +222,7 @@ class SurfaceRegulator:
         cos, sin = math.cos(command.heading_rad), math.sin(command.heading_rad)
         x, y, z = self._carried.at(command).tolist()
         e = np.array([cos * x + sin * y, cos * y - sin * x, z])
-        near = np.clip(e, -ERROR_MAX_M, ERROR_MAX_M)
+        near = np.clip(e, -self._reach_m, self._reach_m)
         x9 = self._deviations(command, sample, cos, sin)
         wanted = self._u0 - self.K @ np.array((*x9, *near.tolist(), *self.integral_m_s.tolist()))
         if self.cures.one_sided:

@@ -31,13 +31,15 @@ LOST_M = 30.0
 @dataclass(frozen=True)
 class Conditions:
     """What the regulator meets. ``air_data``: V, alpha, beta as a probe would tell them. ``heading_of_tanker``: the
-    formation's heading is where the tanker points now, as the thesis has it, and not its course.
+    formation's heading is where the tanker points now, as the thesis has it, and not its course; it swings by
+    ``yaw_swing_rad`` beyond what the gusts do, once in 5 s.
     """
 
     turbulence: str = "light"
     wake: bool = True
     air_data: bool = False
     heading_of_tanker: bool = False
+    yaw_swing_rad: float = 0.0
     extra_actuator_delay_s: float = 0.0
     offset_age_s: float = 0.03
     offset_every: int = 4
@@ -58,8 +60,9 @@ class Loop:
         gust, own, tanker, vision = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
         self._c = conditions
         self._box, self._arm = np.array(setup.tanker.box_tanker_m), np.array(setup.airframe.receptacle_frd_m)
+        start = self._box - self._arm + conditions.start_br_m
         self.world = World(
-            setup.tanker, setup.airframe, self._box - self._arm + conditions.start_br_m, conditions.turbulence, conditions.wake, gust,
+            setup.tanker, setup.airframe, start, conditions.turbulence, conditions.wake, gust,
             actuators=actuators_with(conditions.extra_actuator_delay_s),
         )  # fmt: skip
         self._own, self._tanker, self._vision = InertialSensor(own), InertialSensor(tanker), vision
@@ -87,7 +90,8 @@ class Loop:
         while self._fixes and self._fixes[0][0] <= k:
             self._fix = self._fixes.popleft()[1]
         if k % c.offset_every == 0:
-            heading = told.euler_rad[0] if c.heading_of_tanker else 0.0
+            swing = c.yaw_swing_rad * math.sin(0.4 * math.pi * truth.t_ns * 1e-9)
+            heading = told.euler_rad[0] + swing if c.heading_of_tanker else 0.0
             x, y, z = (-(self._fix + here)).tolist()
             command = OffsetCommand(truth.t_ns, (x, y, z), self._place_v, heading)
             self._sent.append((k + round(c.offset_age_s / DT_S) * (k > 0), command))
