@@ -28,6 +28,8 @@ from companion.messages import (
 )
 
 SETTLED_SPEED_M_S = 0.5
+"""Of the mean over ``SETTLED_MEAN_S``: gusts alone move two aircraft against each other faster for moments."""
+SETTLED_MEAN_S = 2.0
 HEARTBEAT_STALE_S = 3.0
 
 
@@ -52,6 +54,7 @@ class Approach:
         self._status: AutopilotStatus | None = None
         self._estimate_ns: int | None = None
         self._settled_since: int | None = None
+        self._mean_speed = np.zeros(3)
         self._captured_since: int | None = None
 
     @property
@@ -132,6 +135,7 @@ class Approach:
         self._settled_since = self._captured_since = None
         if change.new is Phase.JOIN and state is not None:  # always, see _situation
             self._law.reset()
+            self._mean_speed = state.v_mrf_br_m_s
             self._station = station(state.p_mrf_br_m)
         elif change.new is Phase.APPROACH:
             start = self._station.p_m
@@ -159,8 +163,10 @@ class Approach:
     def _watch(self, t_ns: int, state: RelativeState, reference: Reference) -> None:
         """Keep since when the receiver has held its station, and since when it has been inside the desired window."""
         error = state.p_mrf_br_m - reference.p_m
-        speed = state.v_mrf_br_m_s - reference.v_m_s
-        settled = error @ error < self._config.join_tolerance_m**2 and speed @ speed < SETTLED_SPEED_M_S**2
+        share = 1.0 - math.exp(-1.0 / (SETTLED_MEAN_S * self._config.rate_hz))
+        self._mean_speed = self._mean_speed + share * (state.v_mrf_br_m_s - reference.v_m_s - self._mean_speed)
+        slow = self._mean_speed @ self._mean_speed < SETTLED_SPEED_M_S**2
+        settled = error @ error < self._config.join_tolerance_m**2 and slow
         captured = bool(np.all(np.abs(state.p_mrf_br_m) <= self._desired_m))
         self._settled_since = _mark(self._settled_since, bool(settled), t_ns)
         self._captured_since = _mark(self._captured_since, captured, t_ns)
