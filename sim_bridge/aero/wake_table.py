@@ -8,6 +8,10 @@ At each place the receiver has the incidence that carries its weight there. dCL,
 to clean air at that incidence. dCD is the difference to clean air at that lift, because the plant's drag polar takes
 the lift with the wake's part in it: polar(CL + dCL) + dCD is then the drag in the wake.
 
+The wind-tunnel increments that the thesis has interpolated are not public, nor were other numbers for a KC-135 at hand to
+compare with. Landry (University of British Columbia, 1997) found for a CF-18 behind a wing that stands for a CC-130 what
+is found here: calm far inboard of the wing tip and below it, the worst about level with the tip and close to it.
+
 ``python -m sim_bridge.aero.wake_table --write`` computes the table again.
 """
 

@@ -2,7 +2,7 @@
 
 Potential flow of two parts. Volume: slender-body sources V dA/ds along the axis (Ashley & Landahl, ch. 6; by Goethert's
 rule the distance from the axis counts sqrt(1 - Mach^2) fold), for a body with area A(s) = 4 A_max (s / l) (1 - s / l).
-Lift: the horseshoe vortices of a coarse lattice of a triangle with its span and area, their velocity smoothed near them,
+Lift: the horseshoe vortices of a coarse lattice of a triangle with its span and area, their velocity smoothed nearby,
 in proportion to sin(alpha); control deflections are left out. Good from about a metre off the skin; nearer, and inside,
 it is held.
 """

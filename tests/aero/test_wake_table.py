@@ -2,14 +2,16 @@ from __future__ import annotations
 
 import copy
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sim_bridge.aero import wake_plots
 from sim_bridge.aero.planforms import ICE
 from sim_bridge.aero.vortex_lattice import derivatives, fly
-from sim_bridge.aero.wake_table import TRIM_CL, ReceiverInWake, grid, receiver_lattice
-from sim_bridge.plant.wake import WEIGHT_OVER_RHO_V2_M2, Wake
+from sim_bridge.aero.wake_table import TRIM_CL, ReceiverInWake, grid, main, receiver_lattice, write
+from sim_bridge.plant.wake import TABLE, WEIGHT_OVER_RHO_V2_M2, Wake, load_table
 
 LATTICE = receiver_lattice()
 WAKE = Wake(WEIGHT_OVER_RHO_V2_M2, 1.0, 1.0)
@@ -28,6 +30,13 @@ def test_table_is_what_the_vortex_model_gives(receiver: ReceiverInWake) -> None:
     # Fails when a planform or the model has changed since: python -m sim_bridge.aero.wake_table --write
     positions = grid()[np.random.default_rng(5).choice(len(grid()), 24, replace=False)]
     np.testing.assert_allclose(table(positions), receiver.increments(positions), atol=1.5e-6)
+
+
+@pytest.mark.slow
+def test_table_written_again_is_the_same(tmp_path: Path) -> None:
+    write(tmp_path / "wake.csv")
+    for ours, theirs in zip(load_table(tmp_path / "wake.csv"), load_table(TABLE), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1.5e-6)
 
 
 @pytest.mark.parametrize(
@@ -94,3 +103,13 @@ def test_uniform_sidewash_is_sideslip(receiver: ReceiverInWake) -> None:
     assert dCl == pytest.approx(d.Cl * angle, rel=0.06)
     assert dCn == pytest.approx(d.Cn * angle, abs=1e-5)
     assert dCY == pytest.approx(d.CY * angle, abs=2e-5)
+
+
+def test_command_prints_the_increments_at_the_box(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    assert f"dCL {WAKE.increments(-29.0, 0.0, 9.0)[1]:+.4f}" in capsys.readouterr().out
+
+
+def test_picture_is_drawn(tmp_path: Path) -> None:
+    assert wake_plots.main(["--out", str(tmp_path / "new")]) == 0
+    assert (tmp_path / "new" / "wake.png").read_bytes().startswith(b"\x89PNG")
