@@ -31,8 +31,10 @@ FLAP = Channel(-30 * DEG, 30 * DEG, 150 * DEG, 0.02)
 ONE_SIDED = Channel(0.0, 60 * DEG, 150 * DEG, 0.02)
 LEADING_EDGE = Channel(-40 * DEG, 40 * DEG, 40 * DEG, 0.05)
 THROTTLE = Channel(0.0, 1.0, 0.5, 0.4)
-"""Limits and rates of the surfaces: ICE reports (recalled). Lags and delays: estimated, 50 rad/s servos; thrust of a
-turbofan at mid power follows a small step in about 0.4 s."""
+"""Where the numbers come from. Limits and rates of the surfaces: the ICE reports, recalled (no text of theirs was at
+hand to check them). Lags of the surfaces: servos of 50 rad/s, of the leading edge 20 rad/s, estimated. Throttle: thrust
+of a turbofan at mid power follows a small step in about 0.4 s and goes from idle to full in 2 s, estimated. Delays: two
+frames of a 200 Hz bus, estimated; the thesis (3.5) names saturation, rate limit, delay and filter but no figures."""
 
 
 def default_channels() -> tuple[Channel, ...]:
