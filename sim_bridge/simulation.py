@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -59,8 +59,8 @@ class SerialLine(Protocol):
 class Camera:
     """Exposes at its rate, delivers after its latency.
 
-    With an ``executor`` pictures are drawn beside the simulation, and one that is not ready in time is delivered late;
-    without one they are drawn at once.
+    Pictures are drawn beside the simulation. With an ``executor`` one that is not ready in time is delivered late;
+    without one the simulation waits for it, so that what arrives when does not depend on the machine.
     """
 
     def __init__(self, setup: Setup, rng: np.random.Generator, executor: Executor | None = None,
@@ -71,7 +71,7 @@ class Camera:
         self._latency_ns = round(camera.latency_s * 1e9)
         self._next_ns = 0
         self._sequence = 0
-        self._executor = executor
+        self._executor, self._waits = executor or ThreadPoolExecutor(1), executor is None
         self._under_way: deque[tuple[int, int, Future[NDArray[np.uint8]]]] = deque()
 
     def expose(self, truth: Truth) -> None:
@@ -79,12 +79,7 @@ class Camera:
         if truth.t_ns < self._next_ns:
             return
         self._next_ns += self._period_ns
-        states = (truth.tanker, truth.uav, truth.boom)
-        if self._executor is not None:
-            picture = self._executor.submit(self._picture.expose, *states)
-        else:
-            picture = Future()
-            picture.set_result(self._picture.expose(*states))
+        picture = self._executor.submit(self._picture.expose, truth.tanker, truth.uav, truth.boom)
         self._under_way.append((truth.t_ns, self._sequence, picture))
         self._sequence += 1
 
@@ -93,7 +88,7 @@ class Camera:
         frames = []
         while self._under_way:
             exposed_ns, sequence, picture = self._under_way[0]
-            if exposed_ns + self._latency_ns > t_ns or not picture.done():
+            if exposed_ns + self._latency_ns > t_ns or not (self._waits or picture.done()):
                 break
             self._under_way.popleft()
             frames.append(CameraFrame(exposed_ns, sequence, picture.result()))

@@ -175,6 +175,9 @@ def test_the_shipped_scenario_has_clutter_and_the_default_has_none() -> None:
     ("line", "words"),
     [("gain = 0.0", "picture.gain"), ("daylight = 2.0", "picture.daylight"), ("haze = 1.0", "picture.haze"),
      ("hot_pixels = -1", "picture.hot_pixels"), ('clutter = ["glint", "glint"]', "names something twice"),
+     ("sun_azimuth_rad = 90.0", "radians, not degrees"), ("sun_elevation_rad = 8.0", "radians, not degrees"),
+     ("glare = 2.0", "picture.glare"), ("cloud_per_m = 1.0", "picture.cloud_per_m"), ("noise = -1.0", "picture.noise"),
+     ("vibration_rad = 0.5", "radians, not degrees"), ("vibration_hz = 0.0", "picture.vibration_hz"),
      ('clutter = ["flare"]', "picture.clutter"), ("gian = 1.0", "did you mean 'gain'")],
 )
 def test_conditions_that_cannot_be_are_refused(tmp_path: Path, line: str, words: str) -> None:
