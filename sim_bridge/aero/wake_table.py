@@ -8,9 +8,9 @@ At each place the receiver has the incidence that carries its weight there. dCL,
 to clean air at that incidence. dCD is the difference to clean air at that lift, because the plant's drag polar takes
 the lift with the wake's part in it: polar(CL + dCL) + dCD is then the drag in the wake.
 
-The wind-tunnel increments that the thesis has interpolated are not public, nor were other numbers for a KC-135 at hand to
-compare with. Landry (University of British Columbia, 1997) found for a CF-18 behind a wing that stands for a CC-130 what
-is found here: calm far inboard of the wing tip and below it, the worst about level with the tip and close to it.
+The wind-tunnel increments that the thesis interpolates are not public, and no other numbers for a KC-135 were at hand.
+In kind it is what Landry (University of British Columbia, 1997, abstract) found for a CF-18 in a wing-tip vortex: calm
+far inboard of the tip and below it, worst about level with it, there just outboard of the tip, here a metre inboard.
 
 ``python -m sim_bridge.aero.wake_table --write`` computes the table again.
 """
