@@ -13,6 +13,7 @@ import numpy as np
 from companion.config import AirframeConfig, TankerConfig, Vec3
 from companion.geometry import Vec
 from sim_bridge.plant.actuators import ActuatorConfig, Actuators
+from sim_bridge.plant.aircraft_data import AIRCRAFT, read_aircraft
 from sim_bridge.plant.boom import AirAtBoom, Boom, Carrier, Receptacle
 from sim_bridge.plant.bow_wave import bow_wave_m_s
 from sim_bridge.plant.conditions import PlantConditions
@@ -58,6 +59,8 @@ class World:
         self._receptacle_frd_m = airframe.receptacle_frd_m
         self._gusts = GustField(turbulence, rng, heading_rad)
         self._wind = Wind(self._conditions.wind)
+        for name in AIRCRAFT:
+            read_aircraft(name)  # JSBSim takes a file with anything in it
         self._tanker = Fdm("kc135r", TANKER_INPUTS, dt_s, ALTITUDE_M)
         trim = self._start_tanker(airframe.trim.airspeed_m_s, heading_rad)
         weight_n = self._tanker.mass_kg * G
