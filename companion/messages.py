@@ -247,11 +247,15 @@ class AttitudeSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class VelocitySetpoint:
-    """Inertial velocity (3,) in ``ned`` for the autopilot's own velocity loop, and the heading to point at."""
+    """Inertial velocity (3,) in ``ned`` for the autopilot's own velocity loop, and the heading to point at.
+
+    ``a_ned_m_s2`` (3,) is how that velocity changes: what to fly before any error shows.
+    """
 
     t_ns: int
     v_ned_m_s: tuple[float, float, float]
     yaw_rad: float
+    a_ned_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -328,17 +328,26 @@ class LawWeights(Struct, frozen=True, kw_only=True):
     thrust: float = 2.0
 
 
+class VelocityGains(Struct, frozen=True, kw_only=True):
+    """Law ``velocity``: speed for an error of a metre, and for a metre second of its integral, along, right, down."""
+
+    position_per_s: Vec3 = (0.6, 0.8, 0.8)
+    integral_per_s2: Vec3 = (0.02, 0.02, 0.02)
+
+
 class GuidanceConfig(Struct, frozen=True, kw_only=True):
     """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot.
 
-    ``disturbance_rad_s``: bandwidth of the observer of gusts, wake and trim errors (``companion.guidance.disturbance``).
+    ``disturbance_rad_s``: bandwidth of the observer of gusts, wake and trim errors, forward, right, down
+    (``companion.guidance.disturbance``).
     """
 
     law: Literal["attitude", "velocity", "surfaces"] = "attitude"
     rate_hz: float = 50.0
     weights: LawWeights = LawWeights()
+    velocity: VelocityGains = VelocityGains()
     link_delay_s: float = 0.0
-    disturbance_rad_s: float = 3.0
+    disturbance_rad_s: Vec3 = (2.0, 3.0, 3.0)
     auto_engage: bool = False
     path_duration_s: float = 50.0
     join_settle_s: float = 3.0
@@ -382,7 +391,11 @@ class RecorderConfig(Struct, frozen=True, kw_only=True):
 
 
 class AttitudeResponse(Struct, frozen=True, kw_only=True):
-    """How the autopilot follows attitude and thrust: second-order roll and pitch, first-order thrust, delay."""
+    """How the autopilot follows attitude and thrust: second-order roll and pitch, first-order thrust, delay.
+
+    ``pitch_sink_m``: downward acceleration (m/s2) for a pitch acceleration of 1 rad/s2: flaps that lift the nose push
+    a tailless aircraft down.
+    """
 
     roll_rad_s: float
     roll_damping: float
@@ -390,6 +403,7 @@ class AttitudeResponse(Struct, frozen=True, kw_only=True):
     pitch_damping: float
     thrust_lag_s: float
     delay_s: float
+    pitch_sink_m: float = 0.0
 
 
 class TrimConfig(Struct, frozen=True, kw_only=True):

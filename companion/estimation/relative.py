@@ -1,11 +1,11 @@
 """From the aligned aircraft and the blend to what guidance flies on: receptacle R against box B, in the psi frame.
 
-``BR`` in ``mrf`` (thesis 3.3, Fig. 3.8): the box is fixed in tanker axes, so the tanker's attitude turns it; ``mrf`` is
-``ned`` turned by the tanker's nominal heading, and turns with it (``box_motion``). The rate that goes with it is that of
-the receiver's centre of mass against the moving box, as seen in the turning frame: v - v_box - Omega x BR, Omega the
-nominal turn rate. The box's velocity has the tanker's rotation in it, by its body rates; the frame has not: 0.01 rad of
-yaw in a gust would turn 206 m/s into two of lateral speed. The receiver's own lever is left to the law, which knows how
-the aircraft turns.
+``BR`` in ``mrf`` (thesis 3.3, Fig. 3.8): the box is fixed in tanker axes, so the tanker's attitude turns it; ``mrf``
+is ``ned`` turned by the tanker's nominal heading, and turns with it (``box_motion``). The rate that goes with it is
+that of the receiver's centre of mass against the moving box, as seen in the turning frame: v - v_box - Omega x BR, with
+Omega the nominal turn rate. The box's velocity has the tanker's rotation in it, by its body rates; the frame has not:
+0.01 rad of yaw in a gust would turn 206 m/s into two of lateral speed. The receiver's own lever is left to the law,
+which knows how the aircraft turns.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from companion.config import AirframeConfig, TankerConfig
 from companion.estimation.blend import Blend
 from companion.estimation.box_motion import BoxMotion, BoxObserver
-from companion.geometry import Vec, rotation_from_euler
+from companion.geometry import rotation_from_euler
 from companion.messages import RelativeState
 
 

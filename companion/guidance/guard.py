@@ -16,7 +16,7 @@ from companion.messages import AttitudeSetpoint, Reject, Setpoint, VelocitySetpo
 class Envelope:
     """What may be asked of the autopilot: |roll|, pitch about ``pitch_trim_rad``, thrust 0..1, age of estimate.
 
-    ``max_speed_m_s`` and ``max_offset_m`` bound velocity and offset setpoints, in length.
+    ``max_speed_m_s``, ``max_acceleration_m_s2`` and ``max_offset_m`` bound velocity and offset setpoints, in length.
     """
 
     max_roll_rad: float
@@ -25,6 +25,7 @@ class Envelope:
     estimate_stale_s: float
     max_speed_m_s: float = 350.0
     max_offset_m: float = 150.0
+    max_acceleration_m_s2: float = 20.0
 
 
 def clip(value: float, low: float, high: float) -> float:
@@ -39,9 +40,13 @@ def guard(setpoint: Setpoint, estimate_age_s: float | None, envelope: Envelope) 
     if isinstance(setpoint, AttitudeSetpoint):
         return guard_attitude(setpoint, envelope)
     offset_ned_m = (0.0, 0.0, 0.0) if isinstance(setpoint, VelocitySetpoint) else setpoint.offset_ned_m
-    if not all(map(math.isfinite, (*offset_ned_m, *setpoint.v_ned_m_s, setpoint.yaw_rad))):
+    a_ned_m_s2 = setpoint.a_ned_m_s2 if isinstance(setpoint, VelocitySetpoint) else (0.0, 0.0, 0.0)
+    if not all(map(math.isfinite, (*offset_ned_m, *setpoint.v_ned_m_s, *a_ned_m_s2, setpoint.yaw_rad))):
         return Reject(setpoint.t_ns, "guard", "setpoint_not_finite")
-    if math.hypot(*offset_ned_m) > envelope.max_offset_m or math.hypot(*setpoint.v_ned_m_s) > envelope.max_speed_m_s:
+    far, fast = math.hypot(*offset_ned_m), math.hypot(*setpoint.v_ned_m_s)
+    if far > envelope.max_offset_m or fast > envelope.max_speed_m_s:
+        return Reject(setpoint.t_ns, "guard", "setpoint_outside_envelope")
+    if math.hypot(*a_ned_m_s2) > envelope.max_acceleration_m_s2:
         return Reject(setpoint.t_ns, "guard", "setpoint_outside_envelope")
     return setpoint
 

@@ -22,6 +22,7 @@ has commanded is remembered cut to the envelope, so a saturated command does not
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import control
@@ -103,6 +104,8 @@ def longitudinal_model(airframe: AirframeConfig) -> tuple[Mat, Mat]:
     A[4, 5] = 1.0
     A[5, 4:6] = [-(r.pitch_rad_s**2), -2.0 * r.pitch_damping * r.pitch_rad_s]
     B[5, 0] = r.pitch_rad_s**2
+    A[3] += r.pitch_sink_m * A[5]
+    B[3] += r.pitch_sink_m * B[5]
     A[6, 6] = -1.0 / r.thrust_lag_s
     B[6, 1] = 1.0 / r.thrust_lag_s
     return A, B
@@ -129,16 +132,15 @@ class _Channel:
         self._low, self._high = low, high
         self._sent = np.zeros(regulator.delay_steps * regulator.inputs)
 
-    def step(self, x: Vec, ahead: Vec) -> tuple[Vec, Vec, Vec]:
-        """Return the command (from trim) inside its limits, what feedback acts with now, and what was cut off.
+    def step(self, x: Vec, ahead: Vec) -> tuple[Vec, Vec]:
+        """Return the command (from trim) inside its limits, and what was cut off.
 
         ``ahead`` is fed forward; the delayed commands that the regulator remembers are what feedback adds to it.
         """
         u = ahead - self._r.K @ np.concatenate([x, self._sent])
         command = np.clip(u, self._low, self._high)
-        queue = np.concatenate([self._sent, command - ahead])
-        acting, self._sent = queue[: self._r.inputs], queue[self._r.inputs :]
-        return command, acting, u - command
+        self._sent = np.concatenate([self._sent, command - ahead])[self._r.inputs :]
+        return command, u - command
 
     def pushes(self, column: int, row: int, cut: Vec, error: float) -> bool:
         """Tell whether an error, integrated in state ``column``, would drive input ``row`` further into its limit."""
@@ -175,6 +177,7 @@ class DockingLaw:
         self._ahead.reset()
         self._disturbance.reset()
         self.integral_m_s = np.zeros(3)
+        self._thrusts = deque([0.0] * self._lon.delay_steps)
         self._thrust = 0.0  # the lagged thrust, from our own commands: the autopilot does not report it
 
     def step(self, state: RelativeState, reference: Reference) -> AttitudeSetpoint:
@@ -182,25 +185,26 @@ class DockingLaw:
         e = np.clip(state.p_mrf_br_m - reference.p_m, -FAR_M, FAR_M)
         v = state.v_mrf_br_m_s - reference.v_m_s
         yaw, pitch, roll = euler_from_rotation(state.R_ned_frd)
+        p, q, _ = state.omega_frd_rad_s.tolist()
         at, R_ned_mrf = place(state, reference), rotation_from_euler(state.heading0_rad, 0.0, 0.0)
-        d = self._disturbance.step(at.v_ned_m_s + R_ned_mrf @ v, (yaw, pitch, roll), self._thrust)
+        d = self._disturbance.step(at.v_ned_m_s + R_ned_mrf @ v, (yaw, pitch, roll), q, self._thrust)
+        v = R_ned_mrf.T @ (self._disturbance.v_ned_m_s - at.v_ned_m_s)
         climb = -float(at.v_ned_m_s[2]) / self._airframe.trim.airspeed_m_s
         ref, rate = self._ahead.step(R_ned_mrf.T @ (at.a_ned_m_s2 - d), climb)
-        p, q, _ = state.omega_frd_rad_s
         trim, i = self._airframe.trim, self.integral_m_s
         pitch_off, q_off = pitch - trim.alpha_rad - ref[1], q - self._turn_q(state, roll) - rate[1]
         lon = np.array([e[0], e[2], v[0], v[2], pitch_off, q_off, self._thrust - ref[2], i[0], i[2]])
         lat = np.array([e[1], v[1], roll - ref[0], p - rate[0], i[1]])
         lead = ref + self._lead_s * rate
-        (d_pitch, d_thrust), acting, lon_cut = self._lon_channel.step(lon, lead[1:])
-        (roll_cmd,), _, lat_cut = self._lat_channel.step(lat, lead[:1])
+        (d_pitch, d_thrust), lon_cut = self._lon_channel.step(lon, lead[1:])
+        (roll_cmd,), lat_cut = self._lat_channel.step(lat, lead[:1])
         held = np.array([
             self._lon_channel.pushes(7, 1, lon_cut, e[0]),
             self._lat_channel.pushes(4, 0, lat_cut, e[1]),
             self._lon_channel.pushes(8, 0, lon_cut, e[2]),
         ])
         self.integral_m_s = self.integral_m_s + np.where(held | (np.abs(e) == FAR_M), 0.0, e * self._dt)
-        self._follow(float(acting[1] + ref[2]))
+        self._follow(float(d_thrust))
         return AttitudeSetpoint(
             state.t_ns, float(roll_cmd), trim.alpha_rad + float(d_pitch), yaw, trim.throttle + float(d_thrust)
         )
@@ -210,6 +214,8 @@ class DockingLaw:
         """Return the pitch rate of the formation's steady turn."""
         return state.turn_rate_rad_s * math.sin(roll_rad)
 
-    def _follow(self, acting_thrust: float) -> None:
-        follow = 1.0 - np.exp(-self._dt / self._airframe.response.thrust_lag_s)
-        self._thrust += (acting_thrust - self._thrust) * follow
+    def _follow(self, thrust: float) -> None:
+        """Let the thrust that is there follow what was commanded before the delay."""
+        self._thrusts.append(thrust)
+        follow = 1.0 - math.exp(-self._dt / self._airframe.response.thrust_lag_s)
+        self._thrust += (self._thrusts.popleft() - self._thrust) * follow

@@ -11,6 +11,7 @@ from companion.geometry import Vec, rotation_from_euler
 from companion.guidance.feed_forward import place
 from companion.guidance.law import DockingLaw
 from companion.guidance.path import Reference
+from companion.guidance.velocity_law import VelocityLaw
 from companion.messages import OffsetSetpoint, RelativeState, Setpoint
 
 
@@ -50,4 +51,6 @@ def make_law(airframe: AirframeConfig, config: GuidanceConfig) -> Law:
     """Return the law that the configuration names."""
     if config.law == "surfaces":
         return OffsetLaw()
+    if config.law == "velocity":
+        return VelocityLaw(config)
     return DockingLaw(airframe, config)

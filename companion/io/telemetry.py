@@ -105,18 +105,19 @@ def setpoint_message(setpoint: Setpoint, time_boot_ms: int, target: tuple[int, i
 def position_target(
     setpoint: VelocitySetpoint | OffsetSetpoint, time_boot_ms: int, target: tuple[int, int]
 ) -> Message | Reject:
-    """SET_POSITION_TARGET_LOCAL_NED: velocity and yaw, or offset from here (LOCAL_OFFSET_NED) with velocity and yaw."""
+    """SET_POSITION_TARGET_LOCAL_NED: velocity, acceleration and yaw; or offset (LOCAL_OFFSET_NED), velocity and yaw."""
     offsets = isinstance(setpoint, OffsetSetpoint)
     p = setpoint.offset_ned_m if isinstance(setpoint, OffsetSetpoint) else (0.0, 0.0, 0.0)
     v = setpoint.v_ned_m_s
-    if not all(map(math.isfinite, (*p, *v, setpoint.yaw_rad))):
+    a = (0.0, 0.0, 0.0) if isinstance(setpoint, OffsetSetpoint) else setpoint.a_ned_m_s2
+    if not all(map(math.isfinite, (*p, *v, *a, setpoint.yaw_rad))):
         return Reject(setpoint.t_ns, SOURCE, "setpoint_not_finite", "not sent")
     if math.hypot(*p) > MAX_POSITION_M or math.hypot(*v) > MAX_SPEED_M_S:
         return Reject(setpoint.t_ns, SOURCE, "setpoint_out_of_range", f"{p} m, {v} m/s: not sent")
     frame = dialect.MAV_FRAME_LOCAL_OFFSET_NED if offsets else dialect.MAV_FRAME_LOCAL_NED
-    mask = IGNORE_ACCELERATION | IGNORE_YAW_RATE | (0 if offsets else IGNORE_POSITION)
+    mask = IGNORE_YAW_RATE | (IGNORE_ACCELERATION if offsets else IGNORE_POSITION)
     return dialect.MAVLink_set_position_target_local_ned_message(
-        time_boot_ms, *target, frame, mask, *p, *v, 0.0, 0.0, 0.0, math.remainder(setpoint.yaw_rad, 2.0 * math.pi), 0.0
+        time_boot_ms, *target, frame, mask, *p, *v, *a, math.remainder(setpoint.yaw_rad, 2.0 * math.pi), 0.0
     )
 
 

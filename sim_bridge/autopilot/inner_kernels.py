@@ -30,7 +30,10 @@ PITCH_REF, PITCH_REF_RATE, PITCH_REF_ACC, ALPHA_REF = 8, 9, 10, 11  # incidence 
 PATH, PATH_OFFSET = 12, 13  # flight-path angle in calm air, and what lasts of its difference
 STARTED = 14
 SURFACES = 15  # nine: deflections from trim that were commanded last
-LAW_STATES = 24
+LIFT_ASKED, LIFT_GIVEN = 24, 25  # direct lift by now, by the lag of the design model: asked for from outside; in all
+LIFT_GUST = 26  # upward acceleration that neither attitude nor direct lift explain
+SIDE = 27  # what lasts of the difference between inertial sideslip and that by the side force: wind
+LAW_STATES = 28
 
 
 class Constants(NamedTuple):
@@ -55,10 +58,17 @@ class Constants(NamedTuple):
     lift_gain: float
     lift_fade: float
     lift_max: float
+    gust_share: float  # of the difference that the estimate of the gust follows in one step
+    gust_gain: float  # how much of it the flaps cancel
+    side_m_s2: float  # side acceleration for a radian of sideslip, negative
+    side_share: float
 
 
 class Motion(NamedTuple):
-    """The sensed motion as the loops use it: inertial flow angles, attitude, rates of a coordinated turn."""
+    """The sensed motion as the loops use it: inertial flow angles, attitude, rates of a coordinated turn.
+
+    ``up`` is the measured upward acceleration.
+    """
 
     speed: float
     alpha: float
@@ -68,22 +78,24 @@ class Motion(NamedTuple):
     path: float
     turn_q: float
     turn_r: float
+    up: float
 
 
 @njit(cache=True, nogil=True)
 def inner_step(
-    roll_cmd: float, pitch_cmd: float, R: Mat, omega: Vec, v_ned: Vec, law: Vec, c: Constants, surfaces: Vec
+    roll_cmd: float, pitch_cmd: float, lift_cmd: float, R: Mat, omega: Vec, v_ned: Vec, force: Vec, law: Vec,
+    c: Constants, surfaces: Vec,
 ) -> None:
     """Write deflections from trim into ``surfaces`` (9,); ``law`` (LAW_STATES,) is read and updated."""
-    m = sense(R, v_ned)
+    m = sense(R, v_ned, force, law, c)
     if law[STARTED] == 0.0:
         law[STARTED] = 1.0
         law[ROLL_REF], law[PITCH_REF], law[ALPHA_REF], law[PATH] = m.roll, m.pitch, m.alpha - c.alpha0, m.path
     references(roll_cmd, pitch_cmd, law, c)
     p_acc, r_acc = lateral(m, omega, law, c)
     q_acc = longitudinal(m, omega, law, c)
-    lift_acc = direct_lift(m, law, c)
-    now = law[SURFACES:]
+    lift_acc = direct_lift(m, lift_cmd, law, c)
+    now = law[SURFACES : SURFACES + 9]
     low = np.maximum(c.low, now - c.slew)
     high = np.minimum(c.high, now + c.slew)
     for i in range(9):
@@ -95,8 +107,11 @@ def inner_step(
 
 
 @njit(cache=True, nogil=True)
-def sense(R: Mat, v: Vec) -> Motion:
-    """Return the motion from attitude (3, 3) and inertial velocity (3,)."""
+def sense(R: Mat, v: Vec, force: Vec, law: Vec, c: Constants) -> Motion:
+    """Return the motion from attitude (3, 3), inertial velocity (3,) and specific force (3,).
+
+    Sideslip is inertial but for what lasts: in a steady wind, the side force says which part of it is the wind's.
+    """
     u = R[0, 0] * v[0] + R[1, 0] * v[1] + R[2, 0] * v[2]
     side = R[0, 1] * v[0] + R[1, 1] * v[1] + R[2, 1] * v[2]
     w = R[0, 2] * v[0] + R[1, 2] * v[1] + R[2, 2] * v[2]
@@ -105,7 +120,13 @@ def sense(R: Mat, v: Vec) -> Motion:
     turn_r = G / speed * math.sin(roll)
     turn_q = turn_r * math.tan(clip(roll, 1.2))
     pitch = -math.asin(clip(R[2, 0], 1.0))
-    return Motion(speed, math.atan2(w, u), math.asin(side / speed), roll, pitch, -v[2] / speed, turn_q, turn_r)
+    up = -(R[2, 0] * force[0] + R[2, 1] * force[1] + R[2, 2] * force[2]) - G
+    beta = math.asin(side / speed)
+    wind = beta - force[1] / c.side_m_s2
+    if law[STARTED] == 0.0:
+        law[SIDE] = wind
+    law[SIDE] += c.side_share * (wind - law[SIDE])
+    return Motion(speed, math.atan2(w, u), beta - law[SIDE], roll, pitch, -v[2] / speed, turn_q, turn_r, up)
 
 
 @njit(cache=True, nogil=True)
@@ -172,17 +193,27 @@ def longitudinal(m: Motion, omega: Vec, law: Vec, c: Constants) -> float:
 
 
 @njit(cache=True, nogil=True)
-def direct_lift(m: Motion, law: Vec, c: Constants) -> float:
+def direct_lift(m: Motion, lift_cmd: float, law: Vec, c: Constants) -> float:
     """Return the upward acceleration (m/s2) that the flaps should give.
 
-    In calm air the path angle follows pitch: gamma' = Z_alpha (theta - alpha0 + d - gamma). The observer obeys this and
-    learns at the rate ``lift_fade`` what lasts (d: wake, speed), so that only gusts are left to the flaps.
+    In calm air attitude gives (g + V Z_alpha (incidence - alpha0 + d)) cos(roll) - g, incidence = (pitch - gamma) /
+    cos(roll), and the flaps what is asked of them. The path that follows from this is the reference; d, which lasts
+    (wake, speed, mass), is learned at the rate ``lift_fade``. What the accelerometer shows beyond is a gust: the flaps
+    take ``gust_gain`` of it, and what is left moves the path from its reference, which they bring back.
     """
-    innovation = m.path - law[PATH]
-    drive = c.Z_alpha * (m.pitch - c.alpha0 + law[PATH_OFFSET] - law[PATH])
-    law[PATH] += c.dt_s * (drive + c.lift_fade * innovation)
-    law[PATH_OFFSET] += c.dt_s * c.lift_fade * innovation
-    return clip(-c.lift_gain * m.speed * innovation, c.lift_max)
+    cos = max(math.cos(m.roll), 0.3)
+    slope = m.speed * c.Z_alpha
+    law[LIFT_ASKED] += c.lag_share * (clip(lift_cmd, c.lift_max) - law[LIFT_ASKED])
+    still = (m.pitch - law[PATH]) / cos - c.alpha0 + law[PATH_OFFSET]
+    off = m.path - law[PATH]
+    law[PATH] += c.dt_s * (((G + slope * still) * cos - G + law[LIFT_ASKED]) / m.speed + c.lift_fade * off)
+    now = (m.pitch - m.path) / cos - c.alpha0 + law[PATH_OFFSET]
+    beyond = m.up - ((G + slope * now) * cos - G) - law[LIFT_GIVEN]
+    law[LIFT_GUST] += c.gust_share * (beyond - law[LIFT_GUST])
+    law[PATH_OFFSET] += c.dt_s * c.lift_fade * (off + law[LIFT_GUST] / slope)
+    lift = clip(lift_cmd - c.lift_gain * m.speed * off - c.gust_gain * law[LIFT_GUST], c.lift_max)
+    law[LIFT_GIVEN] += c.lag_share * (lift - law[LIFT_GIVEN])
+    return lift
 
 
 @njit(cache=True, nogil=True)

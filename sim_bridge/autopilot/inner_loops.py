@@ -27,9 +27,12 @@ from companion.config import AirframeConfig
 from companion.geometry import Mat, Vec
 from sim_bridge.autopilot.inner_kernels import LAW_STATES, Constants, inner_step
 from sim_bridge.plant.actuators import default_channels
+from sim_bridge.truth import BodyState
 
 LAG_S = 0.035
 """Of the design model: 20 ms servo lag, 10 ms delay, half a 5 ms sample and one integration step."""
+AIRSPEED_S = 1.0
+"""Gusts are averaged out of the airspeed that the fallback holds."""
 EFFORT = (0.3, 0.3, 0.5, 0.5, 0.0, 0.0, 0.5, 0.2, 0.2)
 """Deflection (rad) of the nine surfaces that costs the same: tips, trailing edges, leading edges (slow: not used),
 pitch flap, spoilers."""
@@ -49,16 +52,32 @@ class InnerGains:
     lift_per_s: float = 0.8
     lift_fade_s: float = 6.0
     lift_max_m_s2: float = 2.0
+    gust_rad_s: float = 8.0
+    gust_gain: float = 0.5
+    wind_s: float = 15.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensed:
-    """What the autopilot's sensors say: attitude (3, 3), body rates (3,), inertial velocity (3,)."""
+    """What the autopilot's sensors say: attitude (3, 3), body rates (3,), inertial velocity (3,), specific force (3,)
+    in body axes, true airspeed.
+    """
 
     t_ns: int
     R_ned_frd: Mat
     omega_frd_rad_s: Vec
     v_ned_m_s: Vec
+    specific_force_m_s2: Vec
+    airspeed_m_s: float
+
+
+def perfect(state: BodyState) -> Sensed:
+    """Return what sensors without errors say of an aircraft."""
+    air = state.v_air_body_m_s
+    return Sensed(
+        state.t_ns, state.R_ned_body, state.omega_body_rad_s, state.v_ned_m_s, state.specific_force_body_m_s2,
+        float(np.sqrt(air @ air)),
+    )
 
 
 class InnerLoops:
@@ -77,13 +96,19 @@ class InnerLoops:
         """Forget everything: integrals, lags, references, the calm-air path."""
         self._law = np.zeros(LAW_STATES)
         self._sunk_m = 0.0
+        self._airspeed_m_s: float | None = None
 
-    def step(self, roll_cmd_rad: float, pitch_cmd_rad: float, thrust_cmd: float, sensed: Sensed) -> Vec:
-        """Return commands (10,) in the order of ``sim_bridge.truth.EFFECTORS``: throttle 0..1, surfaces in rad."""
+    def step(
+        self, roll_cmd_rad: float, pitch_cmd_rad: float, thrust_cmd: float, sensed: Sensed, lift_cmd_m_s2: float = 0.0
+    ) -> Vec:
+        """Return commands (10,) in the order of ``sim_bridge.truth.EFFECTORS``: throttle 0..1, surfaces in rad.
+
+        ``lift_cmd_m_s2``: upward acceleration that the flaps shall give beside what the attitude gives.
+        """
         surfaces = np.empty(9)
         inner_step(
-            roll_cmd_rad, pitch_cmd_rad, sensed.R_ned_frd, sensed.omega_frd_rad_s, sensed.v_ned_m_s, self._law,
-            self._constants, surfaces,
+            roll_cmd_rad, pitch_cmd_rad, lift_cmd_m_s2, sensed.R_ned_frd, sensed.omega_frd_rad_s, sensed.v_ned_m_s,
+            sensed.specific_force_m_s2, self._law, self._constants, surfaces,
         )  # fmt: skip
         out = self._trim.copy()
         out[1:] += surfaces
@@ -92,10 +117,13 @@ class InnerLoops:
 
     def hold_step(self, sensed: Sensed) -> Vec:
         """Return commands that level the wings, stop climb or descent and hold the trim speed: the fallback."""
-        v_n, v_e, v_d = sensed.v_ned_m_s.tolist()
+        v_d = float(sensed.v_ned_m_s[2])
         self._sunk_m = min(max(self._sunk_m + v_d * self._dt_s, -30.0), 30.0)
-        pitch = self._alpha_rad + min(max(0.004 * v_d + 0.001 * self._sunk_m, -0.1), 0.1)
-        slow_m_s = self._speed_m_s - math.sqrt(v_n * v_n + v_e * v_e + v_d * v_d)
+        pitch = self._alpha_rad + min(max(0.004 * v_d + 0.0015 * self._sunk_m, -0.1), 0.1)
+        if self._airspeed_m_s is None:
+            self._airspeed_m_s = sensed.airspeed_m_s
+        self._airspeed_m_s += self._dt_s / AIRSPEED_S * (sensed.airspeed_m_s - self._airspeed_m_s)
+        slow_m_s = self._speed_m_s - self._airspeed_m_s
         return self.step(0.0, pitch, self._throttle + 0.1 * slow_m_s, sensed)
 
 
@@ -106,12 +134,11 @@ def design(airframe: AirframeConfig, dt_s: float, g: InnerGains) -> Constants:
     trim = np.array(airframe.trim.effectors[1:])
     squares = np.array(EFFORT) ** 2
     moments = np.ascontiguousarray(B[3:6, 1:])
-    pitch_lift = B[1, 1:] @ spread(moments, squares) @ np.array([0.0, 1.0, 0.0])
     return Constants(
         dt_s=dt_s,
         alpha0=airframe.trim.alpha_rad,
         lag_share=1.0 - math.exp(-dt_s / LAG_S),
-        K_pitch=pitch_gains(A, float(pitch_lift), g),
+        K_pitch=pitch_gains(A, pitch_sink_m(airframe) / airframe.trim.airspeed_m_s, g),
         K_lateral=lateral_gains(A, g),
         reference=(g.roll_model_rad_s, g.model_damping, g.pitch_model_rad_s, g.model_damping),
         L_p=float(A[3, 3]),
@@ -127,7 +154,18 @@ def design(airframe: AirframeConfig, dt_s: float, g: InnerGains) -> Constants:
         lift_gain=g.lift_per_s,
         lift_fade=1.0 / g.lift_fade_s,
         lift_max=g.lift_max_m_s2,
+        gust_share=1.0 - math.exp(-dt_s * g.gust_rad_s),
+        gust_gain=g.gust_gain,
+        side_m_s2=float(A[2, 2]) * airframe.trim.airspeed_m_s,
+        side_share=1.0 - math.exp(-dt_s / g.wind_s),
     )
+
+
+def pitch_sink_m(airframe: AirframeConfig) -> float:
+    """Return the downward acceleration (m/s2) of the flaps that give a pitch acceleration of 1 rad/s2."""
+    B = np.array(airframe.B)
+    nose_up = spread(B[3:6, 1:], np.array(EFFORT) ** 2) @ np.array([0.0, 1.0, 0.0])
+    return float(airframe.trim.airspeed_m_s * B[1, 1:] @ nose_up)
 
 
 def spread(moments: Mat, squares: Vec) -> Mat:

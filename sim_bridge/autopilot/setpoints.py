@@ -4,7 +4,8 @@ Rules
 -----
 * SET_ATTITUDE_TARGET: roll, pitch and thrust are flown, the rudder stays with the inner loops. Masks 0x07 (attitude and
   thrust, as PX4 takes it) and 0x84 (as ArduPlane takes it: its "ignore attitude" bit only hides the yaw) mean the same.
-* SET_POSITION_TARGET_LOCAL_NED: velocity, or position and velocity; accelerations and yaw must be marked as ignored.
+* SET_POSITION_TARGET_LOCAL_NED: velocity, alone or with the acceleration that goes with it, or position and velocity;
+  the yaw is not flown, the aircraft points where it flies.
 * SET_POSITION_TARGET_LOCAL_NED in LOCAL_OFFSET_NED: offset from the receptacle to where it should be, that place's
   velocity, and the heading of the formation as yaw, all at time_boot_ms on this vehicle's clock, which lies in the last
   half second. Accelerations and yaw rate must be marked as ignored.
@@ -16,13 +17,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.config import AirframeConfig, ConfigError
 from companion.io.mavlink_codec import Message, dialect
-from sim_bridge.sensors import InertialSample, Triple
+from sim_bridge.sensors import Triple
 
 ATTITUDE_MASKS = (0x07, 0x84)
 VELOCITY_MASK = 0x0DC7
 POSITION_VELOCITY_MASK = 0x0DC0
+WITH_ACCELERATION, WITH_YAW = 0x01C0, 0x0400
+"""Bits of the mask that may be cleared when velocity is flown; the yaw is not: the aircraft points where it flies."""
 OFFSET_MASK = 0x09C0
 OFFSET_MAX_M = 200.0
 OFFSET_SPEED_MAX_M_S = 350.0
@@ -38,20 +40,25 @@ class SetpointError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class AttitudeCommand:
-    """What the inner loops fly: roll and pitch in rad, thrust 0..1."""
+    """What the inner loops fly: roll and pitch in rad, thrust 0..1; upward acceleration by the flaps alone."""
 
     roll_rad: float
     pitch_rad: float
     thrust: float
+    lift_m_s2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand:
-    """Velocity to fly and, if given, the point to be at: at ``t_ns``, moving with that velocity afterwards."""
+    """Velocity to fly and, if given, the point to be at: at ``t_ns``, moving with that velocity afterwards.
+
+    ``a_ned_m_s2`` is how the velocity changes, zero when it was not said.
+    """
 
     t_ns: int
     v_ned_m_s: Triple
     p_ned_m: Triple | None
+    a_ned_m_s2: Triple = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,75 +115,13 @@ def velocity_command(message: Message, t_ns: int) -> VelocityCommand:
     """Read SET_POSITION_TARGET_LOCAL_NED that arrived at ``t_ns``; raises SetpointError."""
     if message.coordinate_frame != dialect.MAV_FRAME_LOCAL_NED:
         raise SetpointError("unsupported_frame")
-    if message.type_mask not in {VELOCITY_MASK, POSITION_VELOCITY_MASK}:
+    mask = message.type_mask | WITH_YAW
+    accelerates = mask == VELOCITY_MASK & ~WITH_ACCELERATION
+    if not accelerates and mask not in {VELOCITY_MASK, POSITION_VELOCITY_MASK}:
         raise SetpointError("unsupported_mask")
     v = (message.vx, message.vy, message.vz)
-    p = (message.x, message.y, message.z) if message.type_mask == POSITION_VELOCITY_MASK else None
-    if not all(math.isfinite(x) for x in (*v, *(p or ()))):
+    p = (message.x, message.y, message.z) if mask == POSITION_VELOCITY_MASK else None
+    a = (message.afx, message.afy, message.afz) if accelerates else (0.0, 0.0, 0.0)
+    if not all(math.isfinite(x) for x in (*v, *a, *(p or ()))):
         raise SetpointError("not_finite")
-    return VelocityCommand(t_ns, v, p)
-
-
-class VelocityLoop:
-    """Velocity and position to roll, pitch and thrust, for joining; the docking law flies attitude.
-
-    The wanted acceleration a = k_v (v_cmd - v) + k_i int(v_cmd - v) dt, with v_cmd including a bounded k_p (p_cmd - p),
-    is turned to commands with the airframe's own slopes: roll = atan(a_lateral / g), the lift of angle of attack
-    -A[alpha, alpha] V per rad for the vertical, B[V, throttle] per unit of thrust along the track. Valid near trim.
-    """
-
-    K_P, K_V, K_I = 0.4, 1.5, 0.2
-    MAX_CLOSURE_M_S = 5.0
-    MAX_ROLL_RAD = 0.5
-    MAX_PITCH_OFFSET_RAD = 0.15
-    MAX_INTEGRAL_M_S2 = 1.5
-
-    def __init__(self, airframe: AirframeConfig, dt_s: float) -> None:
-        """Take the airframe's slopes and the step; raises ConfigError when its model gives neither lift nor thrust."""
-        self._trim = airframe.trim
-        self._dt_s = dt_s
-        self._lift_m_s2_rad = -airframe.A[1][1] * airframe.trim.airspeed_m_s
-        self._thrust_m_s2 = airframe.B[0][0]
-        if self._lift_m_s2_rad <= 0 or self._thrust_m_s2 <= 0:
-            msg = f"airframe {airframe.name}: A[1][1] must be negative (lift) and B[0][0] positive (thrust)"
-            raise ConfigError(msg)
-        self._integral = [0.0, 0.0, 0.0]
-
-    def reset(self) -> None:
-        """Forget the integral: somebody else flew in between."""
-        self._integral = [0.0, 0.0, 0.0]
-
-    def step(self, command: VelocityCommand, sample: InertialSample, p_ned_m: Triple | None) -> AttitudeCommand:
-        """Return what the inner loops shall fly now."""
-        a = self._acceleration(self._velocity_error(command, sample, p_ned_m))
-        vn, ve, vd = sample.v_ned_m_s
-        ground_speed = math.hypot(vn, ve)
-        cos_track, sin_track = (vn / ground_speed, ve / ground_speed) if ground_speed > 1.0 else (1.0, 0.0)
-        along, across, up = a[0] * cos_track + a[1] * sin_track, a[1] * cos_track - a[0] * sin_track, -a[2]
-        climb_rad = math.atan2(-vd, ground_speed)
-        roll = max(-self.MAX_ROLL_RAD, min(self.MAX_ROLL_RAD, math.atan2(across, GRAVITY_M_S2)))
-        cos_roll = math.cos(roll)
-        extra_lift = (GRAVITY_M_S2 * math.cos(climb_rad) + up) / cos_roll - GRAVITY_M_S2
-        offset = (self._trim.alpha_rad + extra_lift / self._lift_m_s2_rad) * cos_roll - self._trim.alpha_rad
-        offset = max(-self.MAX_PITCH_OFFSET_RAD, min(self.MAX_PITCH_OFFSET_RAD, climb_rad + offset))
-        thrust = self._trim.throttle + (along + GRAVITY_M_S2 * math.sin(climb_rad)) / self._thrust_m_s2
-        return AttitudeCommand(roll, self._trim.alpha_rad + offset, max(0.0, min(1.0, thrust)))
-
-    def _velocity_error(self, command: VelocityCommand, sample: InertialSample, p_ned_m: Triple | None) -> Triple:
-        """Return commanded minus own velocity, with the part that closes the distance to the commanded point."""
-        x, y, z = (v - own for v, own in zip(command.v_ned_m_s, sample.v_ned_m_s, strict=True))
-        if command.p_ned_m is None or p_ned_m is None:
-            return x, y, z
-        age_s = (sample.t_ns - command.t_ns) * 1e-9
-        away = [p + v * age_s - own for p, v, own in zip(command.p_ned_m, command.v_ned_m_s, p_ned_m, strict=True)]
-        distance = math.hypot(*away)
-        gain = min(self.K_P, self.MAX_CLOSURE_M_S / distance) if distance > 0 else 0.0
-        return x + gain * away[0], y + gain * away[1], z + gain * away[2]
-
-    def _acceleration(self, error: Triple) -> list[float]:
-        """Return the wanted acceleration and move the integral on, within its bound."""
-        bound = self.MAX_INTEGRAL_M_S2
-        for k in range(3):
-            step = self.K_I * self._dt_s * error[k]
-            self._integral[k] = max(-bound, min(bound, self._integral[k] + step))
-        return [self.K_V * e + i for e, i in zip(error, self._integral, strict=True)]
+    return VelocityCommand(t_ns, v, p, a)

@@ -104,7 +104,7 @@ class StandInAutopilot:
         command = self.vehicle.step(sample, p_ned_m, fix)
         sensed = Sensed(
             sample.t_ns, rotation_from_euler(*sample.euler_rad), np.array(sample.omega_rad_s),
-            np.array(sample.v_ned_m_s),
+            np.array(sample.v_ned_m_s), np.array(sample.specific_force_m_s2), sample.airspeed_m_s,
         )
         self._regulator.watch(sample, sensed.R_ned_frd)
         regulated = isinstance(command, OffsetCommand)
@@ -122,7 +122,7 @@ class StandInAutopilot:
             return self._loops.hold_step(sensed)
         if isinstance(command, OffsetCommand):
             return self._regulator.step(command, sample)
-        return self._loops.step(command.roll_rad, command.pitch_rad, command.thrust, sensed)
+        return self._loops.step(command.roll_rad, command.pitch_rad, command.thrust, sensed, command.lift_m_s2)
 
     def outgoing(self, t_ns: int) -> bytes:
         """Return the MAVLink frames that are due at ``t_ns``."""

@@ -26,11 +26,11 @@ from sim_bridge.autopilot.setpoints import (
     OffsetCommand,
     SetpointError,
     VelocityCommand,
-    VelocityLoop,
     attitude_command,
     position_target_command,
 )
 from sim_bridge.autopilot.telemetry import DEFAULT_RATES_HZ, Builders, Origin, Snapshot, Timetable
+from sim_bridge.autopilot.velocity_loop import VelocityLoop
 from sim_bridge.sensors import GpsFix, InertialSample, Triple
 
 SETPOINT_LIFE_NS = 500_000_000

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from companion.config import AirframeConfig, AttitudeResponse
 from companion.geometry import Mat, Vec
-from sim_bridge.autopilot.inner_loops import InnerLoops, Sensed
+from sim_bridge.autopilot.inner_loops import InnerLoops, perfect, pitch_sink_m
 from sim_bridge.plant.actuators import THROTTLE, Actuators
 from sim_bridge.plant.fdm import Fdm, InitialCondition
 from sim_bridge.plant.world import ALTITUDE_M, CALM_WAKE, UAV_INPUTS
@@ -35,8 +35,7 @@ def step_response(airframe: AirframeConfig, axis: str, size_rad: float, length_s
     for k in range(round(length_s / DT_S)):
         state = fdm.state(0)
         track.append((k * DT_S, fdm.roll if axis == "roll" else fdm.pitch - trim.alpha_rad))
-        sensed = Sensed(0, state.R_ned_body, state.omega_body_rad_s, state.v_ned_m_s)
-        actuators.step(loops.step(roll, pitch, trim.throttle, sensed))
+        actuators.step(loops.step(roll, pitch, trim.throttle, perfect(state)))
         fdm.set_inputs((*actuators.position.tolist(), *CALM_WAKE))
         fdm.step()
     return np.array(track)
@@ -73,4 +72,5 @@ def identify_response(airframe: AirframeConfig) -> AttitudeResponse:
         pitch_damping=pitch_z,
         thrust_lag_s=THROTTLE.lag_s,
         delay_s=delay,
+        pitch_sink_m=round(pitch_sink_m(airframe), 4),
     )

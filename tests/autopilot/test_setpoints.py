@@ -18,37 +18,48 @@ from level_flight import (
 )
 
 from companion.config import ConfigError
-from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, VelocityCommand, VelocityLoop
+from companion.geometry import rotation_from_euler
+from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, VelocityCommand
+from sim_bridge.autopilot.velocity_loop import VelocityLoop
 from sim_bridge.sensors import InertialSample, InertialSensor
 
 DT_S = STEP_NS * 1e-9
 
 
-def sample_of(t_ns: int, v_ned: np.ndarray) -> InertialSample:
+def sample_of(
+    t_ns: int, v_ned: np.ndarray, euler: tuple[float, float, float] = (0.0, ALPHA_RAD, 0.0),
+    a_ned: np.ndarray | None = None,
+) -> InertialSample:
+    """Return what sensors say of an aircraft that flies at ``v_ned`` and accelerates by ``a_ned``."""
     base = InertialSensor(Quiet()).sample(state_at(t_ns))
     speed = float(np.linalg.norm(v_ned))
+    force = np.zeros(3) if a_ned is None else a_ned
+    force = rotation_from_euler(*euler).T @ (force - [0.0, 0.0, GRAVITY_M_S2])
     return InertialSample(
-        t_ns, base.euler_rad, base.omega_rad_s, speed, ALPHA_RAD, 0.0, tuple(v_ned.tolist()), base.specific_force_m_s2,
-        speed,
+        t_ns, euler, base.omega_rad_s, speed, ALPHA_RAD, 0.0, tuple(v_ned.tolist()), tuple(force.tolist()), speed
     )
 
 
 def fly(
     command: VelocityCommand, duration_s: float, wind_lift_m_s2: float = 0.0, heading_rad: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fly a point mass from the origin; attitude and thrust follow with 0.2 and 0.4 s of lag. Return p and v."""
+    """Fly a point mass from the origin; attitude, thrust and flaps follow with 0.2, 0.4 and 0.035 s of lag.
+
+    Return p and v.
+    """
     loop, p = VelocityLoop(airframe(), DT_S), np.zeros(3)
     v = SPEED_M_S * np.array([math.cos(heading_rad), math.sin(heading_rad), 0.0])
-    roll, pitch, thrust = 0.0, ALPHA_RAD, THROTTLE
+    roll, pitch, thrust, flaps, a = 0.0, ALPHA_RAD, THROTTLE, 0.0, np.zeros(3)
     for k in range(round(duration_s / DT_S)):
-        c = loop.step(command, sample_of(k * STEP_NS, v), tuple(p.tolist()))
+        track = math.atan2(v[1], v[0])
+        c = loop.step(command, sample_of(k * STEP_NS, v, (track, pitch, roll), a), tuple(p.tolist()))
         roll += DT_S / 0.2 * (c.roll_rad - roll)
         pitch += DT_S / 0.2 * (c.pitch_rad - pitch)
         thrust += DT_S / 0.4 * (c.thrust - thrust)
+        flaps += DT_S / 0.035 * (c.lift_m_s2 - flaps)
         climb = math.atan2(-v[2], math.hypot(v[0], v[1]))
         alpha = ALPHA_RAD + (pitch - climb - ALPHA_RAD * math.cos(roll)) / math.cos(roll)
-        lift = GRAVITY_M_S2 + LIFT_M_S2_RAD * (alpha - ALPHA_RAD) + wind_lift_m_s2
-        track = math.atan2(v[1], v[0])
+        lift = GRAVITY_M_S2 + LIFT_M_S2_RAD * (alpha - ALPHA_RAD) + wind_lift_m_s2 + flaps
         along = THRUST_M_S2 * (thrust - THROTTLE) - GRAVITY_M_S2 * math.sin(climb)
         right, down = lift * math.sin(roll), GRAVITY_M_S2 - lift * math.cos(roll)
         a = np.array(

@@ -115,26 +115,27 @@ def test_an_autopilot_that_is_40_ms_slower_or_faster_than_designed_for_still_set
 
 PUSH_M_S2 = (0.03, -0.2, 0.15)
 NO_INTEGRAL = {"int_x": 1e-12, "int_y": 1e-12, "int_z": 1e-12}
-BLIND = 1e-6  # rad/s: an observer that learns nothing
 
 
-def pushed(seconds, weights=None, **changed):
-    """Return BR (n, 3) under a constant push, and the law."""
-    law = new_law(weights=msgspec.structs.replace(shipped()[1].weights, **(weights or {})), **changed)
+def pushed(seconds, weights=None, *, blind=False):
+    """Return BR (n, 3) under a constant push, and the law; ``blind``: its observer learns nothing of what pushes."""
+    law = new_law(weights=msgspec.structs.replace(shipped()[1].weights, **(weights or {})))
+    if blind:
+        law._disturbance._d_share = np.zeros(3)
     return closed_loop(law, Aircraft([0.0, 0.0, 0.0], delay_of_the_design(), PUSH_M_S2), seconds), law
 
 
 def test_the_integral_removes_a_constant_disturbance():
-    left, _ = pushed(90.0, NO_INTEGRAL, disturbance_rad_s=BLIND)
+    left, _ = pushed(90.0, NO_INTEGRAL, blind=True)
     assert (np.abs(left[-1]) > 0.01).all()  # with (almost) no integral it stands off
-    removed, law = pushed(90.0, disturbance_rad_s=BLIND)
+    removed, law = pushed(90.0, blind=True)
     assert (np.abs(removed[-1]) < 0.003).all()
     assert (np.abs(law.integral_m_s) > 0.01).all()
 
 
 def test_the_observer_removes_it_in_seconds():
     seen, _ = pushed(15.0, NO_INTEGRAL)
-    blind, _ = pushed(15.0, NO_INTEGRAL, disturbance_rad_s=BLIND)
+    blind, _ = pushed(15.0, NO_INTEGRAL, blind=True)
     assert (np.abs(seen[-1]) < 0.002).all()
     assert (np.abs(seen).max(axis=0) < 0.5 * np.abs(blind).max(axis=0)).all()
 

@@ -12,11 +12,12 @@ from scipy.optimize import lsq_linear
 from companion.config import AirframeConfig, TankerConfig
 from companion.geometry import euler_from_rotation, exp_so3, rotation_from_euler
 from sim_bridge.autopilot.inner_kernels import MISS, add_solution, allocate
-from sim_bridge.autopilot.inner_loops import InnerGains, InnerLoops, Sensed, design
+from sim_bridge.autopilot.inner_loops import InnerGains, InnerLoops, Sensed, design, perfect
 from sim_bridge.plant.actuators import ActuatorConfig, default_channels
 from sim_bridge.plant.world import World
 
 DT = 0.005
+G = 9.80665
 EULER_SIGMA_RAD = math.sqrt(1e-9 / 0.05)  # thesis 3.2
 RATE_SIGMA_RAD_S = math.sqrt(1e-8 / 0.05)
 
@@ -47,8 +48,9 @@ class Flight:
             self.held = self.noise.normal(0, EULER_SIGMA_RAD, 3), self.noise.normal(0, RATE_SIGMA_RAD_S, 3)
         self.steps += 1
         uav = self.world.truth.uav
-        return Sensed(
-            uav.t_ns, uav.R_ned_body @ exp_so3(self.held[0]), uav.omega_body_rad_s + self.held[1], uav.v_ned_m_s
+        return dataclasses.replace(
+            perfect(uav), R_ned_frd=uav.R_ned_body @ exp_so3(self.held[0]),
+            omega_frd_rad_s=uav.omega_body_rad_s + self.held[1],
         )
 
     def step(self, roll: float, pitch_offset: float) -> np.ndarray:
@@ -147,13 +149,19 @@ def test_allocation_is_the_bounded_least_squares(
     assert best.cost * (1 - 1e-6) <= cost <= best.cost * (1 + 1e-4) + 1e-6
 
 
+def sensed(R: np.ndarray, omega: np.ndarray, v: np.ndarray, side_force_m_s2: float = 0.0) -> Sensed:
+    """Return a sample of an aircraft whose lift carries it, whatever its attitude."""
+    force = R.T @ np.array([0.0, 0.0, -G]) + np.array([0.0, side_force_m_s2, 0.0])
+    return Sensed(0, R, omega, v, force, float(np.linalg.norm(v)))
+
+
 def test_one_sided_effectors_are_never_asked_below_zero(airframe: AirframeConfig) -> None:
     loops = InnerLoops(airframe, DT)
     trim = airframe.trim
     v = np.array([trim.airspeed_m_s, 0.0, 0.0])
     for k in range(400):
         R = rotation_from_euler(0.1 * math.sin(k / 9), trim.alpha_rad, 0.6 * math.sin(k / 5))
-        command = loops.step(0.0, trim.alpha_rad, 0.5, Sensed(0, R, np.array([math.sin(k / 3), 0.0, 0.3]), v))
+        command = loops.step(0.0, trim.alpha_rad, 0.5, sensed(R, np.array([math.sin(k / 3), 0.0, 0.3]), v))
         assert (command[[1, 2, 8, 9]] >= 0.0).all()
 
 
@@ -166,7 +174,7 @@ def test_commands_never_outrun_the_actuators(airframe: AirframeConfig) -> None:
     for _ in range(200):
         R = rotation_from_euler(0.0, trim.alpha_rad + rng.normal(0, 0.05), rng.normal(0, 0.3))
         v = np.array([trim.airspeed_m_s, rng.normal(0, 3), rng.normal(0, 3)])
-        command = loops.step(rng.normal(0, 0.3), rng.normal(0, 0.1), 0.5, Sensed(0, R, rng.normal(0, 0.3, 3), v))
+        command = loops.step(rng.normal(0, 0.3), rng.normal(0, 0.1), 0.5, sensed(R, rng.normal(0, 0.3, 3), v))
         assert (np.abs(command - before)[1:] <= rates * DT * (1 + 1e-9)).all()
         before = command
 
@@ -181,8 +189,12 @@ def test_mirrored_motion_gives_mirrored_commands(airframe: AirframeConfig) -> No
         p, q, r = (0.01 * math.sin(k * f) for f in (0.011, 0.014, 0.009))
         speed = trim.airspeed_m_s
         side = 2.0 * math.sin(k * 0.012)
-        one = Sensed(0, rotation_from_euler(yaw, pitch, roll), np.array([p, q, r]), np.array([speed, side, 1.0]))
-        two = Sensed(0, rotation_from_euler(-yaw, pitch, -roll), np.array([-p, q, -r]), np.array([speed, -side, 1.0]))
+        one = sensed(
+            rotation_from_euler(yaw, pitch, roll), np.array([p, q, r]), np.array([speed, side, 1.0]), 0.1 * side
+        )
+        two = sensed(
+            rotation_from_euler(-yaw, pitch, -roll), np.array([-p, q, -r]), np.array([speed, -side, 1.0]), -0.1 * side
+        )
         a = right.step(roll_cmd, pitch_cmd, 0.6, one)
         b = left.step(-roll_cmd, pitch_cmd, 0.6, two)
         np.testing.assert_allclose(a[swap], b, atol=1e-9)
@@ -190,8 +202,8 @@ def test_mirrored_motion_gives_mirrored_commands(airframe: AirframeConfig) -> No
 
 def test_reset_forgets(airframe: AirframeConfig) -> None:
     trim = airframe.trim
-    level = Sensed(
-        0, rotation_from_euler(0.0, trim.alpha_rad, 0.0), np.zeros(3), np.array([trim.airspeed_m_s, 0.0, 0.0])
+    level = sensed(
+        rotation_from_euler(0.0, trim.alpha_rad, 0.0), np.zeros(3), np.array([trim.airspeed_m_s, 0.0, 0.0])
     )
     loops = InnerLoops(airframe, DT)
     fresh = loops.step(0.1, trim.alpha_rad, 0.5, level)
@@ -203,8 +215,8 @@ def test_reset_forgets(airframe: AirframeConfig) -> None:
 
 def test_trim_asks_for_the_trim_effectors(airframe: AirframeConfig) -> None:
     trim = airframe.trim
-    level = Sensed(
-        0, rotation_from_euler(1.0, trim.alpha_rad, 0.0), np.zeros(3),
+    level = sensed(
+        rotation_from_euler(1.0, trim.alpha_rad, 0.0), np.zeros(3),
         trim.airspeed_m_s * np.array([math.cos(1.0), math.sin(1.0), 0.0]),
     )
     loops = InnerLoops(airframe, DT)

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config import AirframeConfig, TankerConfig
 from companion.geometry import euler_from_rotation, exp_so3
-from sim_bridge.autopilot.inner_loops import InnerLoops, Sensed
+from sim_bridge.autopilot.inner_loops import InnerLoops, perfect
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.gusts import GustField
 from sim_bridge.plant.world import UAV_INPUTS, World
@@ -19,16 +19,12 @@ DT = 0.005
 G = 9.80665
 
 
-def sensed(state: BodyState) -> Sensed:
-    return Sensed(state.t_ns, state.R_ned_body, state.omega_body_rad_s, state.v_ned_m_s)
-
-
 def fly(world: World, airframe: AirframeConfig, seconds: float, roll: float = 0.0) -> list[Truth]:
     """Fly constant attitude commands; return the truth at every step, the start included."""
     loops = InnerLoops(airframe, DT)
     truths = [world.truth]
     for _ in range(round(seconds / DT)):
-        world.step(loops.step(roll, airframe.trim.alpha_rad, airframe.trim.throttle, sensed(truths[-1].uav)))
+        world.step(loops.step(roll, airframe.trim.alpha_rad, airframe.trim.throttle, perfect(truths[-1].uav)))
         truths.append(world.truth)
     return truths
 
@@ -87,7 +83,7 @@ def test_same_seed_is_the_same_flight_also_side_by_side(make_world: MakeWorld, a
     for expected in alone[:-1]:
         for world, law in zip((first, second), loops, strict=True):
             np.testing.assert_array_equal(numbers(world.truth), expected)
-            world.step(law.step(0.1, airframe.trim.alpha_rad, airframe.trim.throttle, sensed(world.truth.uav)))
+            world.step(law.step(0.1, airframe.trim.alpha_rad, airframe.trim.throttle, perfect(world.truth.uav)))
     other = numbers(fly(make_world(seed=5), airframe, 2.0, roll=0.1)[-1])
     assert np.abs(other - alone[-1]).max() > 1e-3
 
@@ -153,7 +149,7 @@ def test_tanker_flies_straight_for_minutes(make_world: MakeWorld, airframe: Airf
     track = []
     for k in range(round(180.0 / DT)):
         truth = world.truth
-        world.step(loops.hold_step(sensed(truth.uav)))
+        world.step(loops.hold_step(perfect(truth.uav)))
         if k % 20 == 0:
             yaw, pitch, roll = euler_from_rotation(truth.tanker.R_ned_body)
             speed = float(np.linalg.norm(truth.tanker.v_ned_m_s))
