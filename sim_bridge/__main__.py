@@ -56,6 +56,12 @@ def parser() -> argparse.ArgumentParser:
     study.add_argument("--only", metavar="PART,...", help="some parts of it: flops, timing, delay, accuracy, noise, "
                        "swap, labeling, convergence, propagation")
     study.set_defaults(action=_study)
+    m = commands.add_parser("margins", help="how much latency, delay and error each law bears; print a table")
+    m.add_argument("scenario", nargs="?", default="docking", metavar="SCENARIO", help="what is varied (default: docking)")
+    m.add_argument("--law", choices=("attitude", "velocity", "surfaces"), help="one law only (default: all three)")
+    m.add_argument("--quick", action="store_true", help="two seeds and short holds")
+    m.add_argument("--out", metavar="FILE", help="write the table to a file as well")
+    m.set_defaults(action=_margins)
     lin = commands.add_parser("linearize", help="trim and linearise an aircraft; print A, B, modes")
     linearize.options(lin)
     lin.set_defaults(action=_linearize)
@@ -175,6 +181,28 @@ def _study(a: argparse.Namespace) -> int:
 
     print(f"report: {study(Options(a.seed, a.out, a.quick, a.only))}")
     return DOCKED
+
+
+def _margins(a: argparse.Namespace) -> int:
+    from sim_bridge.margins import LAWS, margins  # noqa: PLC0415  flights do without it
+
+    out = None if a.out is None else writable(Path(a.out))
+    table = margins(a.scenario, LAWS if a.law is None else (a.law,), quick=a.quick,
+                    tell=lambda line: print(line, file=sys.stderr, flush=True))
+    print(table)
+    if out is not None:
+        out.write_text(table + "\n", encoding="utf-8")
+    return DOCKED
+
+
+def writable(path: Path) -> Path:
+    """Return the path of a file that can be written; raises ConfigError, before the flights, not after them."""
+    try:
+        path.open("a", encoding="utf-8").close()
+    except OSError as error:
+        msg = f"--out {path}: {error.strerror}"
+        raise ConfigError(msg) from None
+    return path
 
 
 def _linearize(a: argparse.Namespace) -> int:

@@ -7,7 +7,9 @@ same seed gives the same bits.
 from __future__ import annotations
 
 import resource
+import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +26,7 @@ from companion.ports import Recorder
 from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
+from sim_bridge.scene.operator_view import operator_view
 from sim_bridge.scoring import refuelling, score
 from sim_bridge.simulation import TRUTH_EVERY, Arrivals, BoxTruth, Simulation, nominal_heading_rad
 from sim_bridge.truth import Truth
@@ -31,12 +34,21 @@ from sim_bridge.truth_log import TruthLog
 
 BREAKAWAY_WATCH_S = 10.0
 
+SWITCH_S = 2e-4
+"""How long Python's lock may be kept from the thread that draws pictures beside the flight."""
+
 
 class LockstepCompanion:
     """The companion behind both links, on a clock that the simulation sets."""
 
-    def __init__(self, setup: Setup, recorder: Recorder, watch: Callable[[Output], None] | None = None) -> None:
+    def __init__(
+        self, setup: Setup, recorder: Recorder, watch: Callable[[Output], None] | None = None,
+        setpoint_delay_s: float = 0.0,
+    ) -> None:
+        """``setpoint_delay_s``: how long setpoints, and they alone, take to the autopilot."""
         config = setup.config
+        self._delay_ns = round(setpoint_delay_s / NS)
+        self._under_way: deque[tuple[int, Setpoint]] = deque()
         self.clock = SimulatedClock()
         self.link = AutopilotLink(config.links, recorder.mavlink)
         self.service = Service(setup, self.clock, self, recorder, watch)
@@ -45,8 +57,8 @@ class LockstepCompanion:
         self._out = bytearray()
 
     def send(self, setpoint: Setpoint) -> None:
-        """Encode a setpoint for the autopilot: this class is its own sink."""
-        self._out += self.link.encode_setpoint(setpoint, self.clock.now_ns()) or b""
+        """Put a setpoint on its way to the autopilot: this class is its own sink."""
+        self._under_way.append((self.clock.now_ns() + self._delay_ns, setpoint))
 
     def hear(self, data: bytes) -> None:
         """Take bytes of the autopilot."""
@@ -68,6 +80,8 @@ class LockstepCompanion:
                 dispatch(stamped(frame, self.link.to_companion_ns(frame.t_ns)))
         if self._ticker.due(t_ns):
             dispatch(Tick(t_ns))
+        while self._under_way and self._under_way[0][0] <= t_ns:
+            self._out += self.link.encode_setpoint(self._under_way.popleft()[1], t_ns) or b""
         self._out += self.link.outgoing(t_ns)
         out, self._out = bytes(self._out), bytearray()
         return out
@@ -111,6 +125,7 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
     the summary says so.
     """
     warm_up(setup)
+    sys.setswitchinterval(SWITCH_S)
     simulation = Simulation(scenario, setup)
     folder = create_run_folder(setup.config.recorder.out, scenario.name)
     phases: list[PhaseChange] = []
@@ -122,8 +137,9 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
             watch(output)
 
     box = BoxTruth(setup, nominal_heading_rad(scenario))
-    with RunRecorder(folder, setup) as recorder, TruthLog(folder, setup) as truth_log:
-        companion = LockstepCompanion(setup, recorder, see_output)
+    view = operator_view(scenario.picture, scenario.seed)
+    with RunRecorder(folder, setup) as recorder, TruthLog(folder, setup, operator=view) as truth_log:
+        companion = LockstepCompanion(setup, recorder, see_output, scenario.link.setpoint_delay_s)
         ending = Ending(scenario.hold_s, scenario.timeout_s)
         start_ns = time.perf_counter_ns()
         failure, interrupted = None, False

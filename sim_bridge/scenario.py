@@ -43,6 +43,12 @@ class DatalinkScenario(Struct, frozen=True, kw_only=True):
     report_rate_hz: float = 25.0
 
 
+class LinkScenario(Struct, frozen=True, kw_only=True):
+    """The link to the autopilot: how long setpoints take on it, beyond nothing at all (in lockstep only)."""
+
+    setpoint_delay_s: float = 0.0
+
+
 class PassCriteria(Struct, frozen=True, kw_only=True):
     """When a flight counts as docked: this share of the hold inside the desired window of thesis Tab. 1.1."""
 
@@ -76,6 +82,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     hold_s: float = 60.0
     timeout_s: float = 180.0
     datalink: DatalinkScenario = DatalinkScenario()
+    link: LinkScenario = LinkScenario()
     criteria: PassCriteria = PassCriteria()
     commands: tuple[TimedCommand, ...] = ()
     picture: PictureConditions = PictureConditions()
@@ -135,6 +142,7 @@ def check(s: Scenario, path: Path) -> None:
         (s.datalink.report_rate_hz <= fastest_hz,
          f"datalink.report_rate_hz: 55-byte frames at {s.datalink.rate_baud} bits per second go at most "
          f"{fastest_hz:.1f} hertz"),
+        (0 <= s.link.setpoint_delay_s <= 1, "link.setpoint_delay_s: must be in 0..1 seconds"),
         (all(0 <= c.at_s <= s.timeout_s for c in s.commands), "commands: at_s must be in 0..timeout_s seconds"),
         (0 < s.criteria.in_window_fraction <= 1, "criteria.in_window_fraction: must be in 0..1"),
         *condition_rules(s.picture),
