@@ -19,6 +19,7 @@ from pathlib import Path
 
 import jsbsim
 import numpy as np
+from jsbsim._jsbsim import LogExceptionError
 
 from companion.config import Vec3
 from companion.geometry import Mat
@@ -83,8 +84,8 @@ class Fdm:
         self._dt_s = dt_s
         self._origin_altitude_m = origin_altitude_m
         self._exec.set_dt(dt_s)
-        if not self._exec.load_planet(str(ROOT / "flat_earth.xml"), False) or not self._exec.load_model(model):
-            msg = f"JSBSim cannot load aircraft {model!r} from {ROOT}"
+        if not self._loads(model):
+            msg = f"JSBSim cannot load aircraft {model!r} from {ROOT}; what it says is above"
             raise PlantError(msg)
         self._set = tuple(self._node(name).set_double_value for name in inputs)
         self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
@@ -100,6 +101,13 @@ class Fdm:
         self.roll = self.pitch = self.yaw = 0.0
         self.p = self.q = self.r = 0.0
         self.p_n = self.p_e = self.p_d = 0.0
+
+    def _loads(self, model: str) -> bool:
+        try:
+            planet = self._exec.load_planet(str(ROOT / "flat_earth.xml"), False)
+            return bool(planet and self._exec.load_model(model))
+        except (LogExceptionError, jsbsim.BaseError):  # XML that is broken, or without what JSBSim must have
+            return False
 
     def _node(self, name: str) -> jsbsim.FGPropertyNode:
         node = self._exec.get_property_manager().get_node(name)

@@ -1,8 +1,11 @@
+import shutil
+
 import numpy as np
 import pytest
 
 from companion.config import FIRMWARE_CONFIGS, AirframeConfig, TankerConfig
 from companion.config import load as load_toml
+from sim_bridge.plant import fdm
 from sim_bridge.plant.conditions import AirframeErrors, PlantConditions
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.plant.world import World
@@ -43,3 +46,15 @@ def test_more_delay_shifts_the_answer_by_whole_steps():
 def test_a_coefficient_that_is_not_there_is_named():
     with pytest.raises(PlantError, match="coef/Cxx"):
         roll_rates(coefficients={"Cxx": 1.1})
+
+
+@pytest.mark.parametrize("spoil", ["<metrics", "</fdm_config"])
+def test_a_broken_aircraft_file_is_one_clear_error(tmp_path, monkeypatch, capfd, spoil):
+    shutil.copytree(fdm.ROOT, tmp_path / "aircraft_root")
+    broken = tmp_path / "aircraft_root" / "aircraft" / "ice101" / "ice101.xml"
+    broken.write_text(broken.read_text(encoding="utf-8").replace(f"{spoil}>", spoil), encoding="utf-8")
+    monkeypatch.setattr(fdm, "ROOT", tmp_path / "aircraft_root")
+    with pytest.raises(PlantError, match="cannot load aircraft 'ice101'"):
+        fdm.Fdm("ice101", (), 0.005, 6000.0)
+    said = capfd.readouterr()
+    assert "ice101.xml" in said.out + said.err
