@@ -18,7 +18,9 @@ from companion.config import ConfigError, Setup, Vec3
 from companion.geometry import SE3
 from companion.io.recorder import read_records
 from companion.io.rerun_view import screenshot
+from sim_bridge.aero.wake_plots import draw_wake
 from sim_bridge.flight import fly
+from sim_bridge.plant.gust_spectra import draw_spectra
 from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.scene.camera_picture import CameraPicture
 from sim_bridge.scene.conditions import PictureConditions
@@ -47,6 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     draw_cameras(scenario, out / "cameras.jpg")
     draw_conditions(scenario, out / "conditions.jpg")
     draw_operator(flown.folder, setup, out / "operator.jpg")
+    draw_wake(out / "wake.png")
+    draw_spectra().savefig(out / "gusts.png", dpi=100)
     try:
         screenshot(flown.folder, out / "viewer.png")
     except ConfigError as error:

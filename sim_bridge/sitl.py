@@ -21,6 +21,7 @@ from companion.io.recorder import create_run_folder, read_records
 from companion.messages import NS, Phase, PhaseChange
 from sim_bridge.flight import BREAKAWAY_WATCH_S, Flown
 from sim_bridge.scenario import Scenario
+from sim_bridge.scene.operator_view import operator_view
 from sim_bridge.scoring import score
 from sim_bridge.serve import Served, serve
 from sim_bridge.simulation import BoxTruth, nominal_heading_rad
@@ -114,7 +115,8 @@ class _SitlFlight:
         """Make the run folder and start the companion: the wires are up."""
         t0_ns = time.monotonic_ns()
         folder = create_run_folder(self._setup.config.recorder.out, self._scenario.name)
-        self._recording = folder, TruthLog(folder, self._setup, t0_ns=t0_ns)
+        view = operator_view(self._scenario.picture, self._scenario.seed)
+        self._recording = folder, TruthLog(folder, self._setup, t0_ns=t0_ns, operator=view)
         self._companion = CompanionProcess(companion_command(self._scenario, self._setup, folder, t0_ns))
         self._companion.start()
         self._started_s = time.monotonic()
