@@ -12,10 +12,11 @@ from dataclasses import dataclass, fields, replace
 
 import msgspec
 import numpy as np
+from scipy.linalg import expm
 
 from companion.config import Setup
 from companion.geometry import Mat, Vec, rotation_from_euler
-from sim_bridge.autopilot.regulator import Cures, RegulatorWeights, SurfaceRegulator
+from sim_bridge.autopilot.regulator import Cures, RegulatorWeights, SurfaceRegulator, augmented, design
 from sim_bridge.autopilot.setpoints import OffsetCommand
 from sim_bridge.plant.actuators import ActuatorConfig, default_channels
 from sim_bridge.plant.fdm import PlantError
@@ -143,11 +144,31 @@ def share_inside(br: Mat, half_m: Triple, seconds: float) -> float:
     return float((np.abs(br) <= np.array(half_m)).all(axis=1).sum()) / round(seconds / DT_S)
 
 
+def delay_margin_s(setup: Setup, weights: RegulatorWeights) -> float:
+    """Return by how much the actuators' delay may grow before the linear loop, with lags and delay, is unstable."""
+    A, B = augmented(setup.airframe)
+    K, lags = design(setup.airframe, weights), np.array([c.lag_s for c in default_channels()])
+    own = round(default_channels()[0].delay_s / DT_S)
+    block = np.zeros((35, 35))
+    block[:15, :15], block[:15, 15:25] = A, B
+    block[15:25, 15:25], block[15:25, 25:] = -np.diag(1.0 / lags), np.diag(1.0 / lags)
+    sampled = expm(block * DT_S)
+    for steps in range(own, 60):
+        size = 25 + 10 * steps
+        F = np.zeros((size, size))
+        F[:25, :35] = sampled[:25]
+        F[25 : size - 10, 35:] = np.eye(size - 35)
+        F[size - 10 :, :15] = -K
+        if np.abs(np.linalg.eigvals(F)).max() > 1.0:
+            return (steps - 1 - own) * DT_S
+    return math.inf
+
+
 def scan(
     setup: Setup, variants: dict[str, RegulatorWeights], seeds: tuple[int, ...], seconds: float = 60.0,
     skip_s: float = 10.0, **conditions: object,
 ) -> None:  # fmt: skip
-    """Print deviation, largest mean and largest BR per axis after ``skip_s``, and the least share in the window."""
+    """Print sigma, largest mean and largest BR per axis after ``skip_s``, least share in the window, delay margin."""
     window = setup.tanker.window.desired_m
     for name, weights in variants.items():
         tracks = [fly(setup, seed, seconds, weights, **conditions) for seed in seeds]
@@ -157,7 +178,9 @@ def scan(
         largest = np.max([np.abs(t).max(axis=0) for t in flown], axis=0)
         share = min(share_inside(t, window, seconds) for t in tracks)
         cells = "  ".join(" ".join(f"{v:6.3f}" for v in row) for row in (sigma, mean, largest))
-        print(f"{name:24} {cells}  {share:6.3f}  {min(len(t) for t in tracks) * DT_S:5.1f} s", flush=True)
+        margin_ms = 1e3 * delay_margin_s(setup, weights)
+        flown_s = min(len(t) for t in tracks) * DT_S
+        print(f"{name:24} {cells}  {share:6.3f}  {flown_s:5.1f} s  {margin_ms:4.0f} ms", flush=True)
 
 
 def neighbours(weights: RegulatorWeights) -> dict[str, RegulatorWeights]:
@@ -177,7 +200,7 @@ def neighbours(weights: RegulatorWeights) -> dict[str, RegulatorWeights]:
 
 def main() -> None:
     setup = load_scenario("docking").setup()
-    print(f"{'':24} {'sigma x y z':20}  {'|mean|':20}  {'largest':20}  in the window")
+    print(f"{'':24} {'sigma x y z':20}  {'|mean|':20}  {'largest':20}  in the window   flown  delay")
     for turbulence in ("light", "moderate", "severe"):
         scan(setup, {turbulence: RegulatorWeights()}, (1001, 1002, 1003), turbulence=turbulence)
     scan(setup, neighbours(RegulatorWeights()), (1001, 1002))

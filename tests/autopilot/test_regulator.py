@@ -152,7 +152,7 @@ def test_differences_of_pairs_fit_the_limits(values: list[float]) -> None:
 def carried(age_s: float, fix_s: float) -> np.ndarray:
     """Return how far the carried error (n, 3) is off when offsets are exact, 50 Hz and ``age_s`` old."""
     arm = np.array((2.0, 0.0, -1.0))
-    carry = CarriedError(arm, DT_S, fix_s)
+    carry = CarriedError((2.0, 0.0, -1.0), DT_S, fix_s)
     v_place = np.array((200.0, 30.0, 0.0))
 
     def receptacle(t: float) -> tuple[np.ndarray, np.ndarray, tuple[float, float, float]]:
@@ -173,7 +173,7 @@ def carried(age_s: float, fix_s: float) -> np.ndarray:
             offset = v_place * then - receptacle(then)[0]
             command = OffsetCommand(round(then * 1e9), tuple(offset.tolist()), tuple(v_place.tolist()), 0.0)
         if command is not None:
-            off.append(carry.at(command) - (here - v_place * t))
+            off.append(np.array(carry.at(command)) - (here - v_place * t))
     return np.array(off)
 
 
