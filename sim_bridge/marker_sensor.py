@@ -11,6 +11,7 @@ Rules
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -18,8 +19,7 @@ import numpy as np
 from companion.config import ConfigError, Setup
 from companion.geometry import SE3
 from companion.messages import Detections, MarkerFrame
-from companion.vision.camera import T_frd_cam, project
-from companion.vision.expected_size import apparent_radius_px
+from companion.vision.camera import NEAREST_M, T_frd_cam, normalised_to_pixels
 from sim_bridge.sensor_conditions import MarkerSensorConditions
 from sim_bridge.truth import Truth
 
@@ -43,7 +43,7 @@ class MarkerCamera:
             raise ConfigError(msg)
         self._camera, self._rng, self._conditions = setup.camera, rng, conditions
         self._markers = np.array([m.p_tanker_m for m in setup.tanker.markers], dtype=np.float64)
-        self._radius_m = setup.tanker.marker_radius_m
+        self._reach_px_m = setup.tanker.marker_radius_m * math.sqrt(setup.camera.fx_px * setup.camera.fy_px)
         self._T_cam_frd = T_frd_cam(setup.camera).inverse()
         self._size = np.array([setup.camera.width_px, setup.camera.height_px])
         self._period_ns = round(1e9 / setup.camera.rate_hz)
@@ -71,10 +71,12 @@ class MarkerCamera:
     def detect(self, t_ns: int, T_cam_tanker: SE3) -> Detections:
         """Return the markers that are seen from there; draws the same share of chance whatever is seen."""
         n, sigma_px = len(self._markers), self._conditions.sigma_px
-        uv_px = project(self._camera, T_cam_tanker, self._markers) + sigma_px * self._rng.standard_normal((n, 2))
+        p_cam_m = T_cam_tanker.transform(self._markers)
+        depth_m = np.where(p_cam_m[:, 2] > NEAREST_M, p_cam_m[:, 2], np.nan)
+        uv_px = normalised_to_pixels(self._camera, p_cam_m[:, :2] / depth_m[:, None])
+        uv_px += sigma_px * self._rng.standard_normal((n, 2))
         kept = self._rng.random(n) >= self._conditions.dropout
         seen = np.flatnonzero(kept & ((uv_px > -0.5) & (uv_px < self._size - 0.5)).all(axis=1))
         seen = seen[np.argsort(uv_px[seen, 1], kind="stable")]
-        radius_px = apparent_radius_px(self._camera, T_cam_tanker, self._markers[seen], self._radius_m)
-        area_px = np.round(np.pi * (radius_px + HALO_PX) ** 2)
+        area_px = np.round(np.pi * (self._reach_px_m / depth_m[seen] + HALO_PX) ** 2)
         return Detections(t_ns, uv_px[seen], area_px, np.full(len(seen), sigma_px), np.zeros(len(seen), dtype=np.uint8))

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from companion.config import Setup
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.io.datalink import encode_frame
-from companion.messages import CameraFrame, MarkerFrame
+from companion.messages import CameraFrame, MarkerFrame, TankerState
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
 from sim_bridge.datalink import SerialPacer
 from sim_bridge.marker_sensor import MarkerCamera
 from sim_bridge.operator import ScheduledOperator
+from sim_bridge.plant.fdm import PlantError
 from sim_bridge.plant.world import World
 from sim_bridge.scenario import Scenario
 from sim_bridge.scene.camera_picture import CLEAR_DAY, CameraPicture
@@ -140,12 +141,19 @@ class Simulation:
         effectors = self.autopilot.step(truth.uav)
         state = self._reporter.step(truth.tanker)
         if state is not None:
-            self._serial.write(encode_frame(state, self._origin_altitude_m), t_ns)
+            self._serial.write(self._report(state), t_ns)
         self._camera.expose(truth)
         mavlink = self.autopilot.outgoing(t_ns) + self._operator.due(t_ns)
         arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), self._camera.delivered(t_ns))
         self.world.step(effectors)
         return arrivals
+
+    def _report(self, state: TankerState) -> bytes:
+        """Return the frame of the tanker's report; a tanker that no frame can tell of any more is a failed plant."""
+        try:
+            return encode_frame(state, self._origin_altitude_m)
+        except ValueError as error:
+            raise PlantError(str(error)) from None
 
 
 class BoxTruth:

@@ -3,10 +3,15 @@
 import json
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 
 from sim_bridge.__main__ import main
+from sim_bridge.plant.fdm import PlantError
+from sim_bridge.plant.world import World
 from sim_bridge.scenario import load_scenario
+from sim_bridge.simulation import STEP_NS, Simulation
 
 UNDAMPED = """
 vision_input = "detections"
@@ -47,3 +52,19 @@ def test_a_coefficient_that_the_aircraft_lacks_is_named_before_the_flight(
     assert main(["fly", str(file), "--out", str(tmp_path / "runs")]) == 2
     assert "coef/Clq" in capfd.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_tanker_that_no_report_can_tell_of_is_a_failed_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load_scenario("thesis")
+    simulation = Simulation(scenario, scenario.setup())
+    truth = simulation.truth
+    wild = msgspec.structs.replace(truth.tanker, omega_body_rad_s=np.array([50.0, 0.0, 0.0]))
+
+    def fly_on() -> None:
+        for k in range(100):
+            body = msgspec.structs.replace(wild, t_ns=k * STEP_NS)
+            monkeypatch.setattr(World, "truth", msgspec.structs.replace(truth, t_ns=k * STEP_NS, tanker=body))
+            simulation.step()
+
+    with pytest.raises(PlantError, match="tanker state cannot be sent: out_of_range"):
+        fly_on()

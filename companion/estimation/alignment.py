@@ -8,9 +8,9 @@ rates. Time must go forward: an older or equal stamp is refused (``append`` retu
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import msgspec
 import numpy as np
 
 from companion.geometry import Mat, Vec, exp_so3, log_so3
@@ -19,16 +19,14 @@ from companion.messages import NS
 S = TypeVar("S")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Attitude:
+class Attitude(msgspec.Struct, frozen=True, eq=False):
     """Attitude ``R_ned_body`` (3, 3) and body rates (3,) in rad/s at one instant."""
 
     R_ned_body: Mat
     omega_body_rad_s: Vec
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(msgspec.Struct, frozen=True, eq=False):
     """Position and velocity (3,) in ``ned`` at one instant; ``travel_m`` is the running integral of velocity."""
 
     p_ned_m: Vec
@@ -36,8 +34,7 @@ class Motion:
     travel_m: Vec
 
 
-@dataclass(frozen=True, slots=True)
-class Bracket(Generic[S]):
+class Bracket(msgspec.Struct, Generic[S], frozen=True, eq=False):
     """Where an instant lies: ``dt_s`` after ``before``, at the share ``s`` of the way to ``after`` (None: newest)."""
 
     before: S
