@@ -57,7 +57,8 @@ def parser() -> argparse.ArgumentParser:
                        "swap, labeling, convergence, propagation")
     study.set_defaults(action=_study)
     m = commands.add_parser("margins", help="how much latency, delay and error each law bears; print a table")
-    m.add_argument("scenario", nargs="?", default="docking", metavar="SCENARIO", help="what is varied (default: docking)")
+    m.add_argument("scenario", nargs="?", default="docking", metavar="SCENARIO",
+                   help="what is varied (default: docking)")
     m.add_argument("--law", choices=("attitude", "velocity", "surfaces"), help="one law only (default: all three)")
     m.add_argument("--quick", action="store_true", help="two seeds and short holds")
     m.add_argument("--out", metavar="FILE", help="write the table to a file as well")

@@ -97,7 +97,7 @@ def with_guidance(setup: Setup, **changed: Any) -> Setup:
 
 
 LADDERS = (
-    Ladder("latency of setpoints added", (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4), late_setpoints),
+    Ladder("latency of setpoints added", (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0), late_setpoints),
     Ladder("slowest setpoints", (40.0, 25.0, 20.0, 10.0), slow_setpoints, 1.0, "{:.0f} Hz"),
     Ladder("delay of actuators added", (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05), late_actuators),
     Ladder("latency of vision", (0.05, 0.1, 0.15, 0.2, 0.25, 0.3), late_vision),
@@ -225,5 +225,5 @@ def margins(
 
 def told(outcome: Outcome) -> str:
     """Return an outcome as the table says it."""
-    sigma = "no hold" if outcome.sigma_m is None else "σ " + " / ".join(f"{s:.2f}" for s in outcome.sigma_m)
+    sigma = "no hold" if outcome.sigma_m is None else "σ " + " / ".join(f"{s:.3f}" for s in outcome.sigma_m)
     return sigma if outcome.held else f"**lost** ({sigma})"
