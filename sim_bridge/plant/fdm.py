@@ -91,6 +91,7 @@ class Fdm:
         self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
         self._get_state = tuple(self._node(name).get_double_value for name in STATE)
         self._get_rates = tuple(self._node(name).get_double_value for name in (*UVW_DOT, *PQR_DOT))
+        self._get_density = self._node("atmosphere/rho-slugs_ft3").get_double_value
         self._get_felt = tuple(self._node(name).get_double_value for name in (*FORCE, *V_AIR))
         self._set_rotary = tuple(self._node(name).set_double_value for name in ROTARY_GUST)
         self._set_transferred = self._node(TRANSFERRED).set_double_value
@@ -247,7 +248,7 @@ class Fdm:
 
     def air_density_kg_m3(self) -> float:
         """Return the density of the air at the aircraft."""
-        return float(self._exec["atmosphere/rho-slugs_ft3"]) * SLUG_FT3
+        return float(self._get_density()) * SLUG_FT3
 
     def speed_of_sound_m_s(self) -> float:
         """Return the speed of sound at the aircraft."""
