@@ -100,7 +100,7 @@ LADDERS = (
     Ladder("latency of setpoints added", (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0), late_setpoints),
     Ladder("slowest setpoints", (40.0, 25.0, 20.0, 10.0), slow_setpoints, 1.0, "{:.0f} Hz"),
     Ladder("delay of actuators added", (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05), late_actuators),
-    Ladder("latency of vision", (0.05, 0.1, 0.15, 0.2, 0.25, 0.3), late_vision),
+    Ladder("latency of vision", (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0), late_vision),
 )
 ERRORS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("nothing changed", {}),
