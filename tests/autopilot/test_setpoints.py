@@ -19,7 +19,10 @@ from level_flight import (
 
 from companion.config import ConfigError
 from companion.geometry import rotation_from_euler
-from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, VelocityCommand
+from companion.guidance.guard import Envelope, guard
+from companion.io.telemetry import setpoint_message
+from companion.messages import Reject, VelocitySetpoint
+from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, SetpointError, VelocityCommand, velocity_command
 from sim_bridge.autopilot.velocity_loop import VelocityLoop
 from sim_bridge.sensors import InertialSample, InertialSensor
 
@@ -112,3 +115,32 @@ def test_airframe_without_lift_is_refused() -> None:
     dead = msgspec.structs.replace(airframe(), A=((0.0,) * 9,) * 9)
     with pytest.raises(ConfigError, match=r"A\[1\]\[1\] must be negative"):
         VelocityLoop(dead, DT_S)
+
+
+def test_what_the_companion_sends_is_what_the_autopilot_reads() -> None:
+    sent = VelocitySetpoint(0, (200.0, -3.0, 1.5), 0.3, (0.5, -0.25, 2.0))
+    message = setpoint_message(sent, 0, (1, 1))
+    assert not isinstance(message, Reject)
+    assert velocity_command(message, 7) == VelocityCommand(7, sent.v_ned_m_s, None, sent.a_ned_m_s2)
+    message.type_mask |= 0x01C0
+    assert velocity_command(message, 7).a_ned_m_s2 == (0.0, 0.0, 0.0)  # marked as ignored
+    message.type_mask &= ~0x0040  # one axis of three
+    with pytest.raises(SetpointError, match="unsupported_mask"):
+        velocity_command(message, 7)
+
+
+def test_an_acceleration_that_is_no_number_or_too_large_does_not_leave() -> None:
+    envelope = Envelope(0.35, 0.08, 0.12, 0.3)
+    for a in ((math.nan, 0.0, 0.0), (0.0, 0.0, 25.0)):
+        assert isinstance(guard(VelocitySetpoint(0, (200.0, 0.0, 0.0), 0.0, a), 0.0, envelope), Reject)
+    wrong = VelocitySetpoint(0, (200.0, 0.0, 0.0), 0.0, (math.nan, 0.0, 0.0))
+    assert isinstance(setpoint_message(wrong, 0, (1, 1)), Reject)
+
+
+def test_a_setpoint_that_accelerates_goes_on_doing_so_until_the_next() -> None:
+    loop, own = VelocityLoop(airframe(), DT_S), np.array([SPEED_M_S, 0.0, 0.0])
+    climbs = VelocityCommand(0, (SPEED_M_S, 0.0, 0.0), None, (0.0, 0.0, -1.0))
+    early = loop.step(climbs, sample_of(0, own), None).lift_m_s2
+    loop.reset()
+    later = loop.step(climbs, sample_of(80_000_000, own), None).lift_m_s2
+    assert later == pytest.approx(early + VelocityLoop.LIFT_SHARE * VelocityLoop.K_V[2] * 0.08, abs=1e-6)
