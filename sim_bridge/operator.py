@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from companion.config import LinksConfig
 from companion.io.operator import Operator
+from companion.messages import Command
 from sim_bridge.scenario import TimedCommand
 
 
@@ -13,10 +14,13 @@ class ScheduledOperator:
     def __init__(self, links: LinksConfig, commands: tuple[TimedCommand, ...]) -> None:
         self._operator = Operator(links)
         self._pending = sorted(commands, key=lambda c: c.at_s)
+        self.called_breakaway = False
 
     def due(self, t_ns: int) -> bytes:
         """Return the frames of what is due at ``t_ns`` and has not been sent."""
         frames = b""
         while self._pending and self._pending[0].at_s * 1e9 <= t_ns:
-            frames += self._operator.frame(self._pending.pop(0).command)
+            command = self._pending.pop(0).command
+            self.called_breakaway |= command is Command.BREAKAWAY
+            frames += self._operator.frame(command)
         return frames

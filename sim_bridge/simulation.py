@@ -144,6 +144,8 @@ class Simulation:
             self._serial.write(self._report(state), t_ns)
         self._camera.expose(truth)
         mavlink = self.autopilot.outgoing(t_ns) + self._operator.due(t_ns)
+        if self._operator.called_breakaway:  # the whole formation hears it on the radio
+            self.world.boom.disconnect("breakaway called")
         arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), self._camera.delivered(t_ns))
         self.world.step(effectors)
         return arrivals

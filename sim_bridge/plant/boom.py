@@ -56,7 +56,7 @@ class Receptacle(NamedTuple):
 
 
 class AirAtBoom(NamedTuple):
-    """Density, velocity of the air (wind, gusts and what the tanker's wing does to it), the receiver's bow wave."""
+    """Density, velocity of the air (wind, gusts, downwash of the tanker's wing), the receiver's bow wave."""
 
     density_kg_m3: float
     v_ned_m_s: Vec3 = STILL

@@ -59,12 +59,13 @@ class World:
         self._receptacle_frd_m = airframe.receptacle_frd_m
         self._gusts = GustField(turbulence, rng, heading_rad)
         self._wind = Wind(self._conditions.wind)
-        for name in AIRCRAFT:
-            read_aircraft(name)  # JSBSim takes a file with anything in it
+        data = {name: read_aircraft(name) for name in AIRCRAFT}  # JSBSim takes a file with anything in it
         self._tanker = Fdm("kc135r", TANKER_INPUTS, dt_s, ALTITUDE_M)
         trim = self._start_tanker(airframe.trim.airspeed_m_s, heading_rad)
         weight_n = self._tanker.mass_kg * G
         self._wake = Wake(weight_n, self._tanker.air_density_kg_m3(), trim.speed_m_s) if wake else None
+        lift_slope = data["ice101"].coefficients["CLa"].value
+        self._downwash_m_s = self._downwash(tanker.box_tanker_m, lift_slope, trim.speed_m_s)
         self._uav = Fdm("ice101", UAV_INPUTS, dt_s, ALTITUDE_M)
         errors = self._conditions.airframe
         for name, factor in {**errors.coefficients, "effectiveness": errors.effectiveness}.items():
@@ -131,7 +132,8 @@ class World:
 
     def _step_boom(self, air_ned_m_s: Vec3) -> None:
         tanker, uav, boom = self._tanker, self._uav, self._boom
-        air = AirAtBoom(tanker.air_density_kg_m3(), air_ned_m_s, bow_wave_m_s)
+        north, east, down = air_ned_m_s
+        air = AirAtBoom(tanker.air_density_kg_m3(), (north, east, down + self._downwash_m_s), bow_wave_m_s)
         carrier = Carrier(*tanker.motion(), *tanker.accelerations())
         boom.step(carrier, Receptacle(*uav.motion(), self._receptacle_frd_m), air)
         pull = boom.force_on_receptacle_ned_n
@@ -158,6 +160,12 @@ class World:
         aircraft.set_gust(wind_n + north, wind_e + east, down)
         aircraft.set_rotary_gust(p, q, r)
         return wind_n + north, wind_e + east, down
+
+    def _downwash(self, box_tanker_m: Vec3, lift_slope: float, speed_m_s: float) -> float:
+        """Return how fast the air behind the tanker's wing sinks at the box: what takes the receiver's lift there."""
+        if self._wake is None:
+            return 0.0
+        return -self._wake.increments(*box_tanker_m)[1] / lift_slope * speed_m_s
 
     def _wake_increments(self) -> tuple[float, ...]:
         if self._wake is None:
