@@ -130,7 +130,8 @@ def test_a_companion_that_looks_for_corners_is_refused_detections() -> None:
 
 
 @pytest.mark.parametrize("line", [
-    'vision_input = "dreams"', "[sensors.markers]\nsigma_px = -1.0", "[sensors.markers]\ndropout = 1.5", "[sensors.markers]\nsigma_px = nan",
+    'vision_input = "dreams"', "[sensors.markers]\nsigma_px = -1.0", "[sensors.markers]\ndropout = 1.5",
+    "[sensors.markers]\nsigma_px = nan",
     "[sensors.markers]\nsigma = 0.1",
 ])
 def test_bad_values_are_one_clear_line(tmp_path, line: str) -> None:  # type: ignore[no-untyped-def]
