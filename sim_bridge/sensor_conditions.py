@@ -23,9 +23,9 @@ STILL: Vec3 = (0.0, 0.0, 0.0)
 class MarkerSensorConditions(Struct, frozen=True, kw_only=True):
     """Simulated detections, ``vision_input = "detections"``: what stands in for picture and detection.
 
-    ``sigma_px``: standard deviation of a centroid per axis. The picture chain's own, against the truth of whole flights
-    with both cameras, is 0.025 to 0.04 px at 10 to 60 m. ``dropout``: probability that a marker is not seen in a frame,
-    each for itself.
+    ``sigma_px``: standard deviation of a centroid per axis. The picture chain's own, against the truth of one whole
+    flight with the thesis camera (seed 1003), is 0.025 to 0.04 px at 10 to 60 m. ``dropout``: probability that a marker
+    is not seen in a frame, each for itself.
     """
 
     sigma_px: float = 0.035

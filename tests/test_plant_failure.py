@@ -43,14 +43,23 @@ def test_dynamics_that_run_away_end_the_flight_recorded_with_exit_code_one(
     assert (folder / "truth.npz").stat().st_size > 0
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("CL_tev = 2.0", "ice101 has no coefficient 'CL_tev'; did you mean 'CL_tef'?"),
+        ('"../velocities/u-fps" = 2.0', "ice101 has no coefficient '../velocities/u-fps'; there are CLa, CLq, "),
+        ("effectiveness = 0.5", "effectiveness goes into plant.airframe.effectiveness"),
+    ],
+)
 def test_a_coefficient_that_the_aircraft_lacks_is_named_before_the_flight(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], line: str, told: str
 ) -> None:
     file = tmp_path / "typo.toml"
     file.write_text(f'name = "typo"\ncompanion = "{load_scenario("thesis").companion}"\n'
-                    "[plant.airframe.coefficients]\nClq = 2.0\n")
+                    f"[plant.airframe.coefficients]\nCnb = 1.5\n{line}\n")
     assert main(["fly", str(file), "--out", str(tmp_path / "runs")]) == 2
-    assert "coef/Clq" in capfd.readouterr().err.splitlines()[-1]
+    [said] = capfd.readouterr().err.splitlines()
+    assert f"{file}: plant.airframe.coefficients: {told}" in said
     assert not (tmp_path / "runs").exists()
 
 

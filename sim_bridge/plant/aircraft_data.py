@@ -4,7 +4,7 @@ Rules
 -----
 * A coefficient is one line: ``<property value="V"> coef/NAME </property> <!-- [source] note -->``. Without a source in
   square brackets, or without a finite value, the file is refused.
-* Functions use no coefficient that is not given, and none is given that no function uses.
+* Functions use no coefficient that is not given, and none is given twice or that no function uses.
 * Masses, areas and moments of inertia are those of a body that can exist.
 """
 
@@ -65,6 +65,9 @@ def read_aircraft(name: str, root: Path = ROOT) -> AircraftData:
     except OSError as error:
         msg = f"{path}: cannot be read ({error.strerror})"
         raise PlantError(msg) from None
+    except UnicodeDecodeError as error:
+        msg = f"{path}: not UTF-8 (byte {error.start} is 0x{error.object[error.start]:02x}); save it as UTF-8"
+        raise PlantError(msg) from None
     except ET.ParseError as error:
         msg = f"{path}: not an XML file ({error})"
         raise PlantError(msg) from None
@@ -99,6 +102,9 @@ def _coefficients(text: str, path: Path) -> dict[str, Coefficient]:
             raise PlantError(msg)
         if line["source"] is None:
             msg = f"{path}: coef/{name} has no source; add <!-- [source] --> behind it"
+            raise PlantError(msg)
+        if name in found:
+            msg = f"{path}: coef/{name} is given twice; leave one of them"
             raise PlantError(msg)
         found[name] = Coefficient(name, value, line["value"], line["source"], line["note"])
     used = set(re.findall(r"<(?:p|property)>\s*coef/(\w+)\s*<", text))

@@ -6,12 +6,15 @@ operator, an aircraft as its data say.
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Mapping
 from typing import Literal
 
 import msgspec
 
 from companion.config import Struct
+from sim_bridge.plant.aircraft_data import read_aircraft
 
 
 class WindConfig(Struct, frozen=True, kw_only=True):
@@ -62,8 +65,8 @@ class BoomConditions(Struct, frozen=True, kw_only=True):
 class AirframeErrors(Struct, frozen=True, kw_only=True):
     """By what the simulated receiver differs from its data: factors on coefficients, and more delay of its actuators.
 
-    ``coefficients``: factor by name, as ``aircraft/ice101/ice101.xml`` spells them (``coef/NAME``);
-    ``actuator_delay_s``: beyond the actuators' own.
+    ``coefficients``: factor by name, as ``aircraft/ice101/ice101.xml`` spells them (``coef/NAME``); ``effectiveness``:
+    the one on all effectors; ``actuator_delay_s``: beyond the actuators' own.
     """
 
     coefficients: dict[str, float] = msgspec.field(default_factory=dict)
@@ -88,8 +91,8 @@ def plant_rules(c: PlantConditions) -> list[tuple[bool, str]]:
         (math.hypot(w.north_m_s, w.east_m_s) <= 80.0, "plant.wind: more than 80 m/s"),
         (max(abs(w.north_shear_per_s), abs(w.east_shear_per_s)) <= 0.2,
          "plant.wind: shear of more than 0.2 m/s per metre"),
-        (0.0 < c.course.bank_rad <= math.radians(30.0),
-         "plant.course.bank_rad: must be in 0..0.52 (radians, not degrees: 15 degrees are 0.26)"),
+        (0.02 <= c.course.bank_rad <= math.radians(30.0),
+         "plant.course.bank_rad: must be in 0.02..0.52 (radians, not degrees: 15 degrees are 0.26)"),
         (c.course.leg_s > 0.0, "plant.course.leg_s: must be positive seconds"),
         (b.contact_after_s >= 0.0, "plant.boom.contact_after_s: must not be negative"),
         (0.0 <= b.fuel_kg <= 4000.0, "plant.boom.fuel_kg: must be in 0..4000 kilograms"),
@@ -100,4 +103,21 @@ def plant_rules(c: PlantConditions) -> list[tuple[bool, str]]:
          "plant.airframe.coefficients: factors must be in -3..3"),
         (0.0 < a.effectiveness <= 3.0, "plant.airframe.effectiveness: must be in 0..3"),
         (0.0 <= a.actuator_delay_s <= 1.0, "plant.airframe.actuator_delay_s: must be in 0..1 seconds"),
+        *((False, text) for text in coefficient_faults(a.coefficients)),
     ]
+
+
+def coefficient_faults(names: Mapping[str, float]) -> list[str]:
+    """Return what is wrong with the names of the receiver's coefficients; raises PlantError when its file is bad."""
+    if not names:
+        return []
+    known = [name for name in read_aircraft("ice101").coefficients if name != "effectiveness"]
+    faults = []
+    for name in names:
+        if name == "effectiveness":
+            faults.append("plant.airframe.coefficients: effectiveness goes into plant.airframe.effectiveness")
+        elif name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            faults.append(f"plant.airframe.coefficients: ice101 has no coefficient {name!r}; {hint}")
+    return faults

@@ -5,6 +5,8 @@ Rules
 * The step is set before the model is loaded: JSBSim discretises at load.
 * The ground is flat and does not turn (``aircraft/flat_earth.xml``), so that ``ned`` is the same everywhere and
   position is the trapezoidal integral of ``v_ned``; JSBSim's own latitude and longitude are not used.
+* A function may name a property that nobody has: JSBSim notices when it first wants its value, and aborts the process
+  when it lets go of such a model. ``Fdm`` looks through the file right after loading.
 * JSBSim says nothing when a state becomes NaN, or runs away on the way there: ``step`` looks and raises ``PlantError``.
 * Inputs and gusts that are set act from the next ``step`` on: its forces are taken at the end of the step and move the
   aircraft in the one after it.
@@ -13,9 +15,11 @@ Rules
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import jsbsim
 import numpy as np
@@ -55,6 +59,8 @@ INCH = 0.0254
 FORCE = ("forces/fbx-total-lbs", "forces/fby-total-lbs", "forces/fbz-total-lbs")
 V_AIR = ("velocities/u-aero-fps", "velocities/v-aero-fps", "velocities/w-aero-fps")
 UVW_DOT = ("accelerations/udot-ft_sec2", "accelerations/vdot-ft_sec2", "accelerations/wdot-ft_sec2")
+NAMES_A_PROPERTY = {"p", "property", "independentVar"}
+"""Elements whose text is the name of a property that a function reads (or that ``<property value=...>`` makes)."""
 PQR_DOT = ("accelerations/pdot-rad_sec2", "accelerations/qdot-rad_sec2", "accelerations/rdot-rad_sec2")
 
 
@@ -76,7 +82,7 @@ class Fdm:
     """One aircraft; ``inputs`` names the properties that ``set_inputs`` writes, in that order."""
 
     def __init__(self, model: str, inputs: Iterable[str], dt_s: float, origin_altitude_m: float) -> None:
-        """Load ``aircraft/<model>``; raises PlantError when it does not load."""
+        """Load ``aircraft/<model>``; raises PlantError when it does not load, or uses properties that do not exist."""
         jsbsim.set_logger(jsbsim.DefaultLogger(jsbsim.LogLevel.WARN))
         self._exec = jsbsim.FGFDMExec(str(ROOT))
         self._exec.set_debug_level(0)
@@ -84,9 +90,7 @@ class Fdm:
         self._dt_s = dt_s
         self._origin_altitude_m = origin_altitude_m
         self._exec.set_dt(dt_s)
-        if not self._loads(model):
-            msg = f"JSBSim cannot load aircraft {model!r} from {ROOT}; what it says is above"
-            raise PlantError(msg)
+        self._load(ROOT / "aircraft" / model / f"{model}.xml")
         self._set = tuple(self._node(name).set_double_value for name in inputs)
         self._set_gust = tuple(self._node(name).set_double_value for name in GUST)
         self._get_state = tuple(self._node(name).get_double_value for name in STATE)
@@ -95,6 +99,7 @@ class Fdm:
         self._get_felt = tuple(self._node(name).get_double_value for name in (*FORCE, *V_AIR))
         self._set_rotary = tuple(self._node(name).set_double_value for name in ROTARY_GUST)
         self._set_transferred = self._node(TRANSFERRED).set_double_value
+        self._set_force: tuple[Callable[[float], object], ...] = ()
         self._empty_kg = float(self._exec["inertia/mass-slugs"]) * LBF / FT
         self._mass_kg = self._empty_kg
         self.span_m = float(self._exec["metrics/bw-ft"]) * FT
@@ -103,12 +108,29 @@ class Fdm:
         self.p = self.q = self.r = 0.0
         self.p_n = self.p_e = self.p_d = 0.0
 
-    def _loads(self, model: str) -> bool:
+    def _load(self, path: Path) -> None:
         try:
-            planet = self._exec.load_planet(str(ROOT / "flat_earth.xml"), False)
-            return bool(planet and self._exec.load_model(model))
-        except (LogExceptionError, jsbsim.BaseError):  # XML that is broken, or without what JSBSim must have
-            return False
+            used = properties_used(ET.parse(path).getroot())
+        except OSError as error:
+            msg = f"cannot load aircraft {self.model!r}: {path}: cannot be read ({error.strerror})"
+            raise PlantError(msg) from None
+        except ET.ParseError as error:
+            msg = f"cannot load aircraft {self.model!r}: {path}: not an XML file ({error})"
+            raise PlantError(msg) from None
+        try:
+            loaded = self._exec.load_planet(str(ROOT / "flat_earth.xml"), False) and self._exec.load_model(self.model)
+        except (LogExceptionError, jsbsim.BaseError):  # XML without what JSBSim must have
+            loaded = False
+        nodes = self._exec.get_property_manager()
+        missing = [name for name in used if not name or nodes.get_node(name) is None]
+        for name in filter(None, missing):  # or JSBSim aborts when it lets go of the functions that read them
+            self._exec[name] = 0.0
+        if not loaded:
+            msg = f"JSBSim cannot load aircraft {self.model!r} from {path}; what it says is above"
+            raise PlantError(msg)
+        if missing:
+            msg = f"{path}: property {missing[0]!r} is used, but neither this file nor JSBSim has it"
+            raise PlantError(msg)
 
     def _node(self, name: str) -> jsbsim.FGPropertyNode:
         node = self._exec.get_property_manager().get_node(name)
@@ -134,7 +156,7 @@ class Fdm:
             ex[name] = value / FT
         for name, value in zip(("ic/p-rad_sec", "ic/q-rad_sec", "ic/r-rad_sec"), ic.omega_body_rad_s, strict=True):
             ex[name] = value
-        if not ex.run_ic():
+        if not self._ran(ex.run_ic):
             msg = f"JSBSim cannot start aircraft {self.model!r} from {ic}"
             raise PlantError(msg)
         self.p_n, self.p_e, self.p_d = ic.p_ned_m
@@ -165,28 +187,34 @@ class Fdm:
         self._mass_kg = self._empty_kg + fuel_kg
 
     def set_boom_force(self, force_body_n: tuple[float, float, float]) -> None:
-        """Set what the boom does to the receptacle (N, body axes); only aircraft with a receptacle have this force."""
+        """Set what the boom does to the receptacle (N, body axes); raises PlantError for an aircraft without one."""
+        if not self._set_force:
+            self._set_force = tuple(self._node(name).set_double_value for name in BOOM_FORCE)
         x, y, z = force_body_n
         size = math.sqrt(x * x + y * y + z * z)
         direction = (x / size, y / size, z / size) if size > 0.0 else (1.0, 0.0, 0.0)
-        for name, value in zip(BOOM_FORCE, (size / LBF, *direction), strict=True):
-            self._exec[name] = value
+        for set_value, value in zip(self._set_force, (size / LBF, *direction), strict=True):
+            set_value(value)
 
     def set_receptacle(self, at_frd_m: tuple[float, float, float]) -> None:
-        """Say where the boom's force acts; JSBSim's structural axes point aft, right and up."""
+        """Say where the boom's force acts; raises PlantError for an aircraft without a receptacle."""
         x, y, z = at_frd_m
+        # JSBSim's structural axes point aft, right and up.
         for name, value in zip(BOOM_AT, (-x, y, -z), strict=True):
-            self._exec[name] = value / INCH
+            self._node(name).set_double_value(value / INCH)
 
     def scale_coefficient(self, name: str, factor: float) -> None:
         """Multiply the aerodynamic coefficient ``coef/name``; raises PlantError when the aircraft has none."""
+        if not re.fullmatch(r"\w+", name):  # no path out of coef/
+            msg = f"aircraft {self.model!r} has no coefficient {name!r}"
+            raise PlantError(msg)
         node = self._node(f"coef/{name}")
         node.set_double_value(node.get_double_value() * factor)
 
     def step(self) -> None:
         """Advance one step; raises PlantError when a state is not finite or beyond any flight."""
         v_n, v_e, v_d = self.v_n, self.v_e, self.v_d
-        running = self._exec.run()
+        running = self._ran(self._exec.run)
         self._read()
         half = 0.5 * self._dt_s
         self.p_n += half * (v_n + self.v_n)
@@ -195,6 +223,13 @@ class Fdm:
         if not running:
             msg = f"JSBSim stopped aircraft {self.model!r}"
             raise PlantError(msg)
+
+    def _ran(self, run: Callable[[], bool]) -> bool:
+        try:
+            return run()
+        except (LogExceptionError, jsbsim.BaseError) as error:
+            msg = f"JSBSim stopped aircraft {self.model!r}: {' '.join(str(error).split())}"
+            raise PlantError(msg) from None
 
     def _read(self) -> None:
         v_n, v_e, v_d, self.roll, self.pitch, self.yaw, self.p, self.q, self.r = [get() for get in self._get_state]
@@ -253,3 +288,9 @@ class Fdm:
     def speed_of_sound_m_s(self) -> float:
         """Return the speed of sound at the aircraft."""
         return float(self._exec["atmosphere/a-fps"]) * FT
+
+
+def properties_used(file: ET.Element) -> list[str]:
+    """Return the names of the properties that the functions of an aircraft file read, in its order, each once."""
+    read = [e for e in file.iter() if e.tag in NAMES_A_PROPERTY and "value" not in e.attrib]
+    return list(dict.fromkeys((e.text or "").strip().removeprefix("-") for e in read))

@@ -45,7 +45,7 @@ SIGMA_M_S = {"none": 0.0, "light": 1.13, "moderate": 2.24, "severe": 6.43}
 25,000 ft (as tabulated in JSBSim's FGWinds): 4.6-2.7, 8.0-6.6 and 22.1-20.0 ft/s."""
 WAVES = 1024
 """A power of two. The mean over fields is exact; one field has its octaves of 1e-3..0.26 rad/m off by 6 to 17 % (rms; p
-of the short span below 4e-3 rad/m by up to 40 %, which no flight of a minute can tell), its variances by below 1 %."""
+of the short span below 8e-3 rad/m by up to 40 %, which no flight of a minute can tell), its variances by below 1 %."""
 K_RANGE = (0.1 / SCALE_M, 3.0)
 GOLDEN = 1.1673039782614187
 """Root of g^5 = g + 1: fractional parts of n/g, n/g^2, ... fill the unit cube of four dimensions evenly."""
@@ -147,7 +147,7 @@ def draw_waves(edges: Vec, sigma_m_s: float, R_ned_drawn: Mat, rng: np.random.Ge
 
 
 # Division by zero cannot happen (1 + a^2), and without a check for it the compiler works on several waves at once:
-# 2.1 us for 512 waves instead of 13. Sums are in halves, in an order that is written here, so no fastmath is needed.
+# 2.7 us for 1024 waves instead of 13. Sums are in halves, in an order that is written here, so no fastmath is needed.
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_waves(
     waves: Mat, n_m: float, e_m: float, d_m: float, cos_track: float, sin_track: float, span_over_pi: float

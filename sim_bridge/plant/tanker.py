@@ -16,6 +16,8 @@ INPUTS = ("tanker/thrust-lbs", "tanker/elevator-rad", "tanker/aileron-rad", "tan
 ENGINE_LAG_S = 2.0
 THRUST_MAX_N = 160e3
 """Estimated: 4 x 96.2 kN at rest at sea level times 0.42, the lapse of a high-bypass engine to Mach 0.65, 6000 m."""
+LOAD_MAX = 6.0
+"""Load factor beyond which no turn of the tanker is tried: twice what any transport bears, a bank of 80 degrees."""
 ROLL_RATE_RAD_S = math.radians(3.0)
 """Into and out of turns: as airliners roll with passengers on board (estimated)."""
 
@@ -65,12 +67,13 @@ def trim_tanker(
         (u, _, w), (_, q, _) = fdm.accelerations()
         return [u, w, q]
 
-    found = root(residual, [0.03, 0.0, 0.7], tol=1e-11)
-    if not max(abs(r) for r in residual(list(found.x))) < 1e-6:
+    # Near 90 degrees level flight turns at a rate that JSBSim is not asked for.
+    tried = root(residual, [0.03, 0.0, 0.7], tol=1e-11) if math.cos(bank_rad) * LOAD_MAX > 1.0 else None
+    if tried is None or not max(abs(r) for r in residual(tried.x.tolist())) < 1e-6:
         turning = f" turning at {math.degrees(bank_rad):.0f} degrees of bank" if bank_rad else ""
         msg = f"the tanker has no level flight at {speed_m_s:.1f} m/s{turning}"
         raise PlantError(msg)
-    return place([float(v) for v in found.x])
+    return place(tried.x.tolist())
 
 
 class Course:

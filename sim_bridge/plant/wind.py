@@ -15,7 +15,6 @@ class Wind:
     def __init__(self, config: WindConfig) -> None:
         """Take the wind at the tanker's start and its shear."""
         self._config = config
-        self.calm = config == WindConfig()
 
     def at(self, height_above_start_m: float) -> tuple[float, float]:
         """Return where the air goes (north, east) in m/s, ``height_above_start_m`` above the tanker's start."""

@@ -99,6 +99,7 @@ def test_every_number_of_the_file_has_a_source(name: str) -> None:
         ('<emptywt unit="LBS"> 32750', '<emptywt unit="LBS"> -1', "mass and moments of inertia must be positive"),
         ("78451", "784510", "no body has these moments of inertia"),
         ("</fdm_config>", "", "not an XML file"),
+        ("coef/CLq </property>", "coef/CLa </property>", "coef/CLa is given twice"),
     ],
 )
 def test_incomplete_or_impossible_files_are_refused(tmp_path: Path, was: str, becomes: str, told: str) -> None:

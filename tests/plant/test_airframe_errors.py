@@ -1,4 +1,6 @@
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -48,13 +50,96 @@ def test_a_coefficient_that_is_not_there_is_named():
         roll_rates(coefficients={"Cxx": 1.1})
 
 
-@pytest.mark.parametrize("spoil", ["<metrics", "</fdm_config"])
-def test_a_broken_aircraft_file_is_one_clear_error(tmp_path, monkeypatch, capfd, spoil):
-    shutil.copytree(fdm.ROOT, tmp_path / "aircraft_root")
-    broken = tmp_path / "aircraft_root" / "aircraft" / "ice101" / "ice101.xml"
-    broken.write_text(broken.read_text(encoding="utf-8").replace(f"{spoil}>", spoil), encoding="utf-8")
-    monkeypatch.setattr(fdm, "ROOT", tmp_path / "aircraft_root")
-    with pytest.raises(PlantError, match="cannot load aircraft 'ice101'"):
-        fdm.Fdm("ice101", (), 0.005, 6000.0)
-    said = capfd.readouterr()
-    assert "ice101.xml" in said.out + said.err
+@pytest.mark.parametrize("name", ["Cxx", "../velocities/u-fps", ""])
+def test_only_coefficients_are_scaled(name):
+    with pytest.raises(PlantError, match=r"aircraft 'ice101' has no "):
+        fdm.Fdm("ice101", (), 0.005, 6000.0).scale_coefficient(name, 2.0)
+
+
+FLY = """
+import sys
+from pathlib import Path
+from sim_bridge.plant import fdm
+fdm.ROOT = Path(sys.argv[1])
+try:
+    if sys.argv[2] == "linearize":
+        from sim_bridge.linearize import Condition, linearize
+        linearize(Condition())
+    else:
+        aircraft = fdm.Fdm("ice101", ("effector/pf", "wake/dCY"), 0.005, 6000.0)
+        aircraft.set_receptacle((2.0, 0.0, -1.0))
+        aircraft.reset(fdm.InitialCondition((0.0, 0.0, 0.0), (200.0, 0.0, 15.0), (0.0, 0.08, 0.0)))
+        aircraft.step()
+except fdm.PlantError as error:
+    print("refused:", error, file=sys.stderr)
+    sys.exit(7)
+"""
+NONE_HAS = "is used, but neither this file nor JSBSim has it"
+
+
+def spoilt(folder, was, becomes):
+    """Copy the aircraft and put ``becomes`` for the first ``was`` in the receiver's file."""
+    root = folder / "aircraft_root"
+    shutil.copytree(fdm.ROOT, root)
+    file = root / "aircraft" / "ice101" / "ice101.xml"
+    text = file.read_bytes()
+    assert was in text
+    file.write_bytes(text.replace(was, becomes, 1))
+    return root
+
+
+def flown_alone(root, what):
+    """Return exit code and stderr of a process of its own: where JSBSim aborts it is -6."""
+    command = [sys.executable, "-c", FLY, root, what]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "told"),
+    [
+        (b"<p> aero/alpha-rad </p>", b"<p> aero/alfa-rad </p>", f"ice101.xml: property 'aero/alfa-rad' {NONE_HAS}"),
+        (b"<p> aero/alpha-rad </p>", b"<p> -aero/alfa-rad </p>", f"ice101.xml: property 'aero/alfa-rad' {NONE_HAS}"),
+        (b"<p> aero/alpha-rad </p>", b"<p/>", f"ice101.xml: property '' {NONE_HAS}"),
+        (b"<property> velocities/mach <", b"<property> velocities/mac <", f"property 'velocities/mac' {NONE_HAS}"),
+        (b'<property value="0"> effector/pf </property>', b"", f"ice101.xml: property 'effector/pf' {NONE_HAS}"),
+        (b'<property value="0"> gust/p-rad_sec </property>', b"", f"property 'gust/p-rad_sec' {NONE_HAS}"),
+        (b'<property value="0"> wake/dCY </property>', b"", f"ice101.xml: property 'wake/dCY' {NONE_HAS}"),
+        (b'<force name="boom"', b'<force name="bum"', "has no property 'external_reactions/boom/location-x-in'"),
+        (b"<metrics>", b"<metrics", "ice101.xml: not an XML file ("),
+        (b"ICE reports", b"ICE r\xe9ports", "ice101.xml: not an XML file ("),
+        (b'<axis name="LIFT">', b'<axis name="UP">', "JSBSim cannot load aircraft 'ice101' from "),
+    ],
+)
+def test_an_impossible_aircraft_file_is_refused_and_nothing_aborts(tmp_path, was, becomes, told):
+    code, said = flown_alone(spoilt(tmp_path, was, becomes), "fdm")
+    assert code == 7, said
+    assert "Traceback" not in said
+    [line] = [s for s in said.splitlines() if s.startswith("refused:")]
+    assert told in line
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "told"),
+    [
+        (b"ICE reports", b"ICE r\xe9ports", "ice101.xml: not UTF-8 (byte 202 is 0xe9)"),
+        (b"<p> aero/alpha-rad </p>", b"<p> aero/alfa-rad </p>", f"ice101.xml: property 'aero/alfa-rad' {NONE_HAS}"),
+    ],
+)
+def test_linearize_refuses_it_too(tmp_path, was, becomes, told):
+    code, said = flown_alone(spoilt(tmp_path, was, becomes), "linearize")
+    assert code == 7, said
+    [line] = said.splitlines()
+    assert told in line
+
+
+def test_the_aircraft_as_they_are_fly(tmp_path):
+    assert flown_alone(spoilt(tmp_path, b"", b""), "fdm") == (0, "")
+
+
+def test_the_tanker_has_no_receptacle():
+    tanker = fdm.Fdm("kc135r", (), 0.005, 6000.0)
+    with pytest.raises(PlantError, match="'kc135r' has no property 'external_reactions/boom/location-x-in'"):
+        tanker.set_receptacle((2.0, 0.0, -1.0))
+    with pytest.raises(PlantError, match="'kc135r' has no property 'external_reactions/boom/magnitude'"):
+        tanker.set_boom_force((1.0, 0.0, 0.0))
