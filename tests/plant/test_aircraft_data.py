@@ -49,12 +49,35 @@ def test_a_value_off_by_one_in_its_last_digit_disagrees() -> None:
     assert not Row(given, None, None).agrees
 
 
-def test_tanker_agrees_with_the_lattice_where_the_body_matters_little() -> None:
-    found = {r.given.name: (r.given.value, r.lattice) for r in compare("kc135r")}
-    for name in ("CLa", "Clb", "Clr", "Cnb", "Cnr"):
-        given, lattice = found[name]
-        assert lattice is not None
-        assert lattice / given == pytest.approx(1.0, abs=0.3), name
+TANKER_OVER_LATTICE = {
+    # Wing, and fin: little else takes part.
+    "CLa": (0.838, "thickness and the wing's part inside the body against bare plates, and Mach 0.8 brought to 0.65"),
+    "CLq": (0.991, "agrees; but the Convair's includes 2.7 for the rate of change of incidence"),
+    "Clb": (0.790, "dihedral and wing height of another aircraft; the lattice has no body under or over the wing"),
+    "Clr": (1.082, "agrees: lift of the wing over the span"),
+    "Cnb": (0.989, "agrees by chance: a larger fin there, less what the body takes off; here the fin alone"),
+    "Cnr": (1.100, "agrees: fin and its arm"),
+    # The lattice's moment is about a centre of mass and with a tail that we had to guess.
+    "Cma": (0.336, "the body moves the neutral point forward and the tail sees more downwash; centre of mass unknown"),
+    "Cmq": (0.445, "tail and its arm: larger in our drawing than on the Convair"),
+    "CL_elevator": (0.369, "elevator and tailplane: larger in our drawing, no gap, no friction, no thickness"),
+    "Cm_elevator": (0.353, "the same, at the same arm"),
+    # Thin plates with hinges in perfect flow, and a fin on no body.
+    "Clp": (0.644, "aileron-side stations of the wing stall and bend on the Convair; span less of its wing"),
+    "CY_rudder": (0.718, "rudder without gap and friction"),
+    "Cl_rudder": (0.640, "the same"),
+    "Cn_rudder": (0.634, "the same"),
+    "CYb": (2.173, "body, nacelles and wing carry more side force than the fin, which is all that the lattice has"),
+    "Cnp": (0.173, "the wing's part and the fin's nearly cancel: a small difference of two figures"),
+}
+"""XML over lattice, and why: the Convair's coefficients stay, for they are of an aircraft that flew."""
+
+
+def test_how_far_the_tanker_is_from_the_lattice_is_known() -> None:
+    found = {r.given.name: r.given.value / r.lattice for r in compare("kc135r") if r.lattice}
+    assert found.keys() == TANKER_OVER_LATTICE.keys()
+    for name, (ratio, _) in TANKER_OVER_LATTICE.items():
+        assert found[name] == pytest.approx(ratio, rel=0.05), name
 
 
 @pytest.mark.parametrize(
