@@ -37,6 +37,7 @@ import numpy as np
 
 from companion.config import AirframeConfig, ConfigError
 from companion.geometry import Mat, Vec, rotation_from_euler
+from sim_bridge.autopilot.lasting_wind import LastingWind
 from sim_bridge.autopilot.setpoints import OffsetCommand
 from sim_bridge.plant.actuators import default_channels
 from sim_bridge.sensors import InertialSample, Triple
@@ -57,8 +58,9 @@ ONE_SIDED = [i for i, name in enumerate(EFFECTORS) if name.startswith(("amt", "s
 class Cures:
     """What is done about the traps of the law as written.
 
-    ``inertial_flow``: V, alpha, beta from velocity over the ground and attitude. The law takes them for the motion
-    of the aircraft, so with an air-data probe it chases the gusts. ``one_sided``: tips and spoilers only open. The trim
+    ``inertial_flow``: V, alpha, beta from velocity over the ground, less the wind that lasts, and attitude. The law
+    takes them for the motion of the aircraft, so with an air-data probe it chases the gusts; and without the lasting
+    wind an aircraft that crabs would look like one that slips. ``one_sided``: tips and spoilers only open. The trim
     has them a little open, and what one side cannot close the other opens more. ``true_relative_velocity``: the law
     takes V, psi and theta for the velocity relative to the place, which they are only while the place flies straight
     and does not yaw: 0.01 rad of heading look like 2 m/s. So they are replaced by the values that give the true one.
@@ -238,6 +240,7 @@ class SurfaceRegulator:
         self._R_ned_frd = np.eye(3)
         self._reach_m = ERROR_MAX * np.array(self._weights.error_m)
         self._carried = CarriedError(airframe.receptacle_frd_m, dt_s, self._weights.fix_s)
+        self._wind = LastingWind(airframe, dt_s)
         self.reset()
 
     def reset(self) -> None:
@@ -249,6 +252,7 @@ class SurfaceRegulator:
         """Take the motion of one step, whoever flies."""
         self._R_ned_frd = R_ned_frd
         self._carried.watch(sample, R_ned_frd)
+        self._wind.watch(sample, R_ned_frd)
 
     def step(self, command: OffsetCommand, sample: InertialSample) -> Vec:
         """Return commands (10,) in the order of eq. 3.3, after ``watch`` of the same sample."""
@@ -271,7 +275,7 @@ class SurfaceRegulator:
         yaw, pitch, roll = sample.euler_rad
         V, alpha, beta = sample.speed_m_s, sample.alpha_rad, sample.beta_rad
         if self.cures.inertial_flow:
-            V, alpha, beta = flow_of(sample.v_ned_m_s, self._R_ned_frd)
+            V, alpha, beta = self._wind.flow(sample, self._R_ned_frd)
         dV, psi, theta = V - self._V0, math.remainder(yaw - command.heading_rad, 2.0 * math.pi), pitch - self._alpha0
         if self.cures.true_relative_velocity:
             n, e, d = (own - place for own, place in zip(sample.v_ned_m_s, command.v_ned_m_s, strict=True))
@@ -292,11 +296,3 @@ def keep_differences(wanted: Vec, low: Vec, high: Vec) -> None:
     mean = np.clip(0.5 * (wanted[RIGHT] + wanted[LEFT]), low[RIGHT] + np.abs(half), high[RIGHT] - np.abs(half))
     wanted[RIGHT] = mean + half
     wanted[LEFT] = mean - half
-
-
-def flow_of(v_ned: Triple, R_ned_frd: Mat) -> Triple:
-    """Return V, alpha, beta (m/s, rad) of a velocity over the ground."""
-    row0, row1, row2 = R_ned_frd.tolist()
-    u, v, w = (v_ned[0] * row0[k] + v_ned[1] * row1[k] + v_ned[2] * row2[k] for k in range(3))
-    V = math.sqrt(u * u + v * v + w * w)
-    return V, math.atan2(w, u), math.asin(v / V) if V > 0.0 else 0.0
