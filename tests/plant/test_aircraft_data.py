@@ -57,20 +57,20 @@ TANKER_OVER_LATTICE = {
     "Clr": (1.082, "agrees: lift of the wing over the span"),
     "Cnb": (0.989, "agrees by chance: a larger fin there, less what the body takes off; here the fin alone"),
     "Cnr": (1.100, "agrees: fin and its arm"),
-    # The lattice's moment is about a centre of mass and with a tail that we had to guess.
+    # Centre of mass and tailplane of the lattice's aircraft are guessed, and it has no body.
     "Cma": (0.336, "the body moves the neutral point forward and the tail sees more downwash; centre of mass unknown"),
-    "Cmq": (0.445, "tail and its arm: larger in our drawing than on the Convair"),
-    "CL_elevator": (0.369, "elevator and tailplane: larger in our drawing, no gap, no friction, no thickness"),
-    "Cm_elevator": (0.353, "the same, at the same arm"),
-    # Thin plates with hinges in perfect flow, and a fin on no body.
-    "Clp": (0.644, "aileron-side stations of the wing stall and bend on the Convair; span less of its wing"),
+    "Cmq": (0.445, "tailplane and its arm, squared, as for Cma: those of another aircraft"),
+    "CL_elevator": (0.369, "tailplane of another aircraft; elevator over all of its span, without gap and friction"),
+    "Cm_elevator": (0.353, "the same: the ratio to CL_elevator, the arm, agrees within 5 %"),
+    # Thin rigid plates in perfect flow, and a fin on no body.
+    "Clp": (0.644, "a thin rigid wing damps more; not accounted for in full, CLa has but a quarter of it"),
     "CY_rudder": (0.718, "rudder without gap and friction"),
     "Cl_rudder": (0.640, "the same"),
     "Cn_rudder": (0.634, "the same"),
     "CYb": (2.173, "body, nacelles and wing carry more side force than the fin, which is all that the lattice has"),
     "Cnp": (0.173, "the wing's part and the fin's nearly cancel: a small difference of two figures"),
 }
-"""XML over lattice, and why: the Convair's coefficients stay, for they are of an aircraft that flew."""
+"""XML over lattice, and what the two do not share; how much each reason makes of it was not taken apart."""
 
 
 def test_how_far_the_tanker_is_from_the_lattice_is_known() -> None:
