@@ -17,7 +17,7 @@ help:
 	@echo "make test     the tests        make check    style, types, imports"
 	@echo "make bench    speed and accuracy figures"
 	@echo "make figures  the pictures of the README"
-	@echo "SCENARIO=docking|thesis|clutter|corners|FILE SEED=1 ARGS='--pose glsdc'"
+	@echo "SCENARIO=docking|thesis|moderate|turning|night|...|FILE SEED=1 ARGS='--pose glsdc'"
 
 # A half-made environment is made again: the stamp is the last thing to be written.
 $(VENV)/.python:
