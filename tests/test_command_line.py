@@ -206,10 +206,10 @@ def test_sitl_docks_on_the_wall_clock(tmp_path):
 
 @pytest.mark.slow
 def test_lockstep_by_command_writes_the_same_summary(tmp_path):
-    toml = companion_toml(tmp_path, "auto_engage = true\npath_duration_s = 5.0\n")
+    toml = companion_toml(tmp_path, "auto_engage = true\npath_duration_s = 10.0\n")
     scenario = tmp_path / "flight.toml"
     scenario.write_text(
-        f'name = "flight"\ncompanion = "{toml}"\nstart_tanker_m = [-33.0, -2.0, 12.0]\nhold_s = 3.0\n', encoding="utf-8"
+        f'name = "flight"\ncompanion = "{toml}"\nstart_tanker_m = [-33.0, -2.0, 12.0]\nhold_s = 5.0\n', encoding="utf-8"
     )
     chosen = ("--seed", "231", "--pose", "glsdc", "--labeling", "mutual_nearest")
     process = start("sim_bridge", "fly", scenario, *chosen, "--out", tmp_path / "other")
