@@ -26,6 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity, down."""
+
 Vec = NDArray[np.float64]
 Mat = NDArray[np.float64]
 

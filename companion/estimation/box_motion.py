@@ -21,10 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.geometry import Mat, Vec, euler_from_rotation
+from companion.geometry import GRAVITY_M_S2, Mat, Vec, euler_from_rotation
 from companion.messages import NS
 
-GRAVITY_M_S2 = 9.80665
 BOX_RAD_S = 5.0
 """Bandwidth for the centre's velocity: its noise (0.04 m/s, held 50 ms) against the tanker's gusts. With 8 rad/s the
 noise alone moves the receiver's spoilers so much that their drag takes its thrust."""
@@ -69,17 +68,16 @@ class BoxObserver:
         lever = R_ned_tanker @ np.cross(omega_tanker_rad_s, self._box_tanker_m)
         yaw, _, roll = euler_from_rotation(R_ned_tanker)
         bank = GRAVITY_M_S2 * math.tan(min(max(roll, -1.2), 1.2)) * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+        before, self._bank = self._bank, bank
         dt = math.inf if self._t_ns is None else (t_ns - self._t_ns) * NS
         if dt > LONGEST_GAP_S:
             self._centre, self._lever = Smoothed(v_ned_m_s, np.zeros(3)), Smoothed(lever, np.zeros(3))
             self._heading, self._turn = yaw, 0.0
         else:
-            known = 0.5 * (self._bank + bank)
+            known = 0.5 * (before + bank)
             self._centre = smooth(self._centre, v_ned_m_s, known, self._w, dt)
             self._lever = smooth(self._lever, lever, np.zeros(3), self._wl, dt)
-            self._bank = bank
             self._follow(dt, yaw)
-        self._bank = bank
         self._t_ns = t_ns
 
     def _follow(self, dt: float, yaw: float) -> None:

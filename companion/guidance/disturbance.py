@@ -18,9 +18,9 @@ import math
 import numpy as np
 
 from companion.config import AirframeConfig, Vec3
-from companion.geometry import Vec, rotation_from_euler
+from companion.geometry import GRAVITY_M_S2, Vec, rotation_from_euler
+from companion.guidance.slopes import slopes_of
 
-GRAVITY_M_S2 = 9.80665
 LARGEST_M_S2 = 8.0
 """Of the disturbance, per axis: the wake's 4 and gusts of moderate turbulence; more is no disturbance."""
 
@@ -32,9 +32,7 @@ class Disturbance:
         """``bandwidth_rad_s`` forward, right, down: forward, thrust follows slowly and within its rate."""
         self._alpha0 = airframe.trim.alpha_rad
         self._speed_m_s = airframe.trim.airspeed_m_s
-        self._lift_m_s2_rad = -airframe.A[1][1] * self._speed_m_s
-        self._drag_m_s2_rad = airframe.A[0][1] + airframe.A[0][7]
-        self._thrust_m_s2 = airframe.B[0][0]
+        self._slopes = slopes_of(airframe)
         self._sink_m = airframe.response.pitch_sink_m
         fade = np.exp(-np.array(bandwidth_rad_s) * dt_s)
         self._dt_s = dt_s
@@ -71,6 +69,6 @@ class Disturbance:
         cos = math.cos(roll)
         gamma = -v_down / self._speed_m_s
         alpha = (pitch - gamma) / cos - self._alpha0
-        lift = GRAVITY_M_S2 + self._lift_m_s2_rad * alpha
-        forward = self._drag_m_s2_rad * alpha + self._thrust_m_s2 * thrust - GRAVITY_M_S2 * gamma
+        lift = GRAVITY_M_S2 + self._slopes.lift_m_s2_rad * alpha
+        forward = self._slopes.drag_m_s2_rad * alpha + self._slopes.thrust_m_s2 * thrust - GRAVITY_M_S2 * gamma
         return np.array([forward, lift * math.sin(roll), GRAVITY_M_S2 - lift * cos])

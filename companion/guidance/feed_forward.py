@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config import AirframeConfig
-from companion.geometry import Vec, rotation_from_euler
+from companion.geometry import GRAVITY_M_S2, Vec, rotation_from_euler
 from companion.guidance.path import Reference
+from companion.guidance.slopes import slopes_of
 from companion.messages import RelativeState
 
-GRAVITY_M_S2 = 9.80665
 MAX_BANK_RAD = 0.5
 RATE_S = 0.2
 """Time constant of the rates of the references."""
@@ -56,9 +56,7 @@ class FeedForward:
     def __init__(self, airframe: AirframeConfig, dt_s: float) -> None:
         self._alpha0 = airframe.trim.alpha_rad
         self._speed_m_s = airframe.trim.airspeed_m_s
-        self._lift_m_s2_rad = -airframe.A[1][1] * self._speed_m_s
-        self._drag_m_s2_rad = airframe.A[0][1] + airframe.A[0][7]
-        self._thrust_m_s2 = airframe.B[0][0]
+        self._slopes = slopes_of(airframe)
         self._share = 1.0 - math.exp(-dt_s / RATE_S)
         self.reset()
 
@@ -71,9 +69,9 @@ class FeedForward:
         a_x, a_y, a_z = a_mrf_m_s2.tolist()
         weight = GRAVITY_M_S2 - a_z
         roll = min(max(math.atan2(a_y, weight), -MAX_BANK_RAD), MAX_BANK_RAD)
-        alpha = (weight / math.cos(roll) - GRAVITY_M_S2) / self._lift_m_s2_rad
+        alpha = (weight / math.cos(roll) - GRAVITY_M_S2) / self._slopes.lift_m_s2_rad
         pitch = (self._alpha0 + alpha) * math.cos(roll) - self._alpha0 + climb_rad
-        thrust = (a_x + GRAVITY_M_S2 * climb_rad - self._drag_m_s2_rad * alpha) / self._thrust_m_s2
+        thrust = (a_x + GRAVITY_M_S2 * climb_rad - self._slopes.drag_m_s2_rad * alpha) / self._slopes.thrust_m_s2
         now = np.array([roll, pitch, thrust])
         if self._slow is None:
             self._slow = now

@@ -30,9 +30,9 @@ import numpy as np
 from scipy.linalg import expm
 
 from companion.config import AirframeConfig, ConfigError, GuidanceConfig
-from companion.geometry import Mat, Vec, euler_from_rotation, rotation_from_euler
+from companion.geometry import GRAVITY_M_S2, Mat, Vec, euler_from_rotation, rotation_from_euler
 from companion.guidance.disturbance import Disturbance
-from companion.guidance.feed_forward import GRAVITY_M_S2, FeedForward, place
+from companion.guidance.feed_forward import FeedForward, place
 from companion.guidance.path import Reference
 from companion.messages import AttitudeSetpoint, RelativeState
 

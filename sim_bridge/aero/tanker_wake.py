@@ -28,10 +28,11 @@ from numba import njit
 from companion.geometry import Mat, Vec
 from sim_bridge.aero.planforms import KC135R, kc135r
 from sim_bridge.aero.vortex_lattice import Lattice, Trapezoid
+from sim_bridge.plant.wake import WEIGHT_OVER_RHO_V2_M2
 
 MACH = 0.65
 BETA = math.sqrt(1.0 - MACH * MACH)
-LIFT_COEFFICIENT = 110e3 * 9.80665 / (0.5 * 0.66012 * 205.7**2 * KC135R.area_m2)
+LIFT_COEFFICIENT = WEIGHT_OVER_RHO_V2_M2 / (0.5 * KC135R.area_m2)
 """Of the tanker at 110 t, Mach 0.65, 6000 m: 0.342."""
 TAIL_SHARE = -0.05
 """Lift of the tailplane over the weight. Estimated: a wing section's Cm of -0.05 on a mean chord of 6.1 m, balanced

@@ -26,13 +26,13 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.geometry import Mat, Vec
+from companion.geometry import GRAVITY_M_S2, Mat, Vec
 from sim_bridge.aero.planforms import ICE, ice101
 from sim_bridge.aero.tanker_wake import MACH, TankerWake, trimmed_wake
 from sim_bridge.aero.vortex_lattice import Lattice, coefficients, derivatives
-from sim_bridge.plant.wake import TABLE, WEIGHT_OVER_RHO_V2_M2
+from sim_bridge.plant.wake import RHO_V2_PA, TABLE, WEIGHT_OVER_RHO_V2_M2
 
-TRIM_CL = 14855.15 * 9.80665 / (0.5 * 0.66012 * 205.7**2 * ICE.area_m2)
+TRIM_CL = 14855.15 * GRAVITY_M_S2 / (0.5 * RHO_V2_PA * ICE.area_m2)
 """Of the receiver in trim: 0.139."""
 X_M = (-120.0, -100.0, -85.0, -70.0, -60.0, -52.0, -46.0, -41.0, -37.0, -34.0, -31.0, -28.0, -25.0, -22.0, -18.0, -14.0,
        -10.0)

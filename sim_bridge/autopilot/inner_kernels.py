@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from companion.geometry import GRAVITY_M_S2 as G
 from companion.geometry import Mat, Vec
 
-G = 9.80665
 INTEGRAL_MAX = 0.1
 """Of the attitude errors, rad s."""
 ROLL_MAX = (0.35, 5.0, 40.0)

@@ -31,7 +31,6 @@ OFFSET_SPEED_MAX_M_S = 350.0
 OFFSET_AGE_MS = (-50, 500)
 """How long ago an offset may have been true: negative by what the two clocks may differ."""
 QUATERNION_TOLERANCE = 0.01
-GRAVITY_M_S2 = 9.80665
 
 
 class SetpointError(ValueError):

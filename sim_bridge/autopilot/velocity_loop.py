@@ -19,7 +19,9 @@ from __future__ import annotations
 import math
 
 from companion.config import AirframeConfig, ConfigError
-from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, AttitudeCommand, VelocityCommand
+from companion.geometry import GRAVITY_M_S2
+from companion.guidance.slopes import slopes_of
+from sim_bridge.autopilot.setpoints import AttitudeCommand, VelocityCommand
 from sim_bridge.sensors import InertialSample, Triple
 
 LONGEST_LEAD_S = 0.1
@@ -44,10 +46,8 @@ class VelocityLoop:
     def __init__(self, airframe: AirframeConfig, dt_s: float) -> None:
         """Take the airframe's slopes and the step; raises ConfigError when its model gives neither lift nor thrust."""
         self._trim = airframe.trim
-        self._lift_m_s2_rad = -airframe.A[1][1] * airframe.trim.airspeed_m_s
-        self._drag_m_s2_rad = airframe.A[0][1] + airframe.A[0][7]
-        self._thrust_m_s2 = airframe.B[0][0]
-        if self._lift_m_s2_rad <= 0 or self._thrust_m_s2 <= 0:
+        self._slopes = slopes_of(airframe)
+        if self._slopes.lift_m_s2_rad <= 0 or self._slopes.thrust_m_s2 <= 0:
             msg = f"airframe {airframe.name}: A[1][1] must be negative (lift) and B[0][0] positive (thrust)"
             raise ConfigError(msg)
         self._sink_m = airframe.response.pitch_sink_m
@@ -79,10 +79,10 @@ class VelocityLoop:
         roll = clip(math.atan2(right, GRAVITY_M_S2 + up), self.MAX_ROLL_RAD)
         cos_roll = math.cos(roll)
         self._slow_up += self._slow_share * (up - self._slow_up)
-        alpha = ((GRAVITY_M_S2 + self._slow_up) / cos_roll - GRAVITY_M_S2) / self._lift_m_s2_rad
+        alpha = ((GRAVITY_M_S2 + self._slow_up) / cos_roll - GRAVITY_M_S2) / self._slopes.lift_m_s2_rad
         offset = (self._trim.alpha_rad + alpha) * cos_roll - self._trim.alpha_rad
         offset = clip(climb + offset, self.MAX_PITCH_OFFSET_RAD)
-        thrust = (along + GRAVITY_M_S2 * climb - self._drag_m_s2_rad * alpha) / self._thrust_m_s2
+        thrust = (along + GRAVITY_M_S2 * climb - self._slopes.drag_m_s2_rad * alpha) / self._slopes.thrust_m_s2
         thrust = max(0.0, min(1.0, self._trim.throttle + thrust))
         lift = clip(self.LIFT_SHARE * (up - attitude_up), self.MAX_LIFT_M_S2)
         self._thrust += self._thrust_share * (thrust - self._trim.throttle - self._thrust)
@@ -93,7 +93,7 @@ class VelocityLoop:
         """Return the upward acceleration that the present attitude gives in calm air."""
         cos = max(math.cos(roll), 0.3)
         alpha = (pitch - climb) / cos - self._trim.alpha_rad
-        return (GRAVITY_M_S2 + self._lift_m_s2_rad * alpha) * cos - GRAVITY_M_S2
+        return (GRAVITY_M_S2 + self._slopes.lift_m_s2_rad * alpha) * cos - GRAVITY_M_S2
 
     def _watch(self, sample: InertialSample, climb: float, attitude_up: float) -> None:
         """Move on what pushes: measured less explained acceleration, along the nose, right of it and up."""
@@ -105,8 +105,8 @@ class VelocityLoop:
         up = fx * math.sin(pitch) - down * math.cos(pitch) - GRAVITY_M_S2
         alpha = (pitch - climb) / max(math.cos(roll), 0.3) - self._trim.alpha_rad
         explained = (
-            self._thrust_m_s2 * self._thrust + self._drag_m_s2_rad * alpha - GRAVITY_M_S2 * climb,
-            (GRAVITY_M_S2 + self._lift_m_s2_rad * alpha) * math.sin(roll),
+            self._slopes.thrust_m_s2 * self._thrust + self._slopes.drag_m_s2_rad * alpha - GRAVITY_M_S2 * climb,
+            (GRAVITY_M_S2 + self._slopes.lift_m_s2_rad * alpha) * math.sin(roll),
             attitude_up + self._lift,
         )
         for k, (measured, known) in enumerate(zip((along, right, up), explained, strict=True)):

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.geometry import Mat
+from companion.geometry import GRAVITY_M_S2, Mat
 from sim_bridge.linearize.model import Mode, lateral_modes, longitudinal_modes
 from sim_bridge.plant.fdm import FT, LBF, SLUG_FT3
-from sim_bridge.plant.tanker import G
 
 SLUG_FT2 = LBF * FT
 LB = 0.45359237
@@ -61,7 +60,7 @@ class Derivatives:
         w_dot[2] = V - force * V * self.CLq * late
         w_dot /= 1.0 + force * self.CLa_dot * late
         q_dot = turn * np.array([self.Cmu, self.Cma, V * self.Cmq * late, 0.0]) + turn * self.Cma_dot * late * w_dot
-        u_dot = np.array([-2.0 * force * self.CD, -force * (self.CDa - self.CL), 0.0, -G])
+        u_dot = np.array([-2.0 * force * self.CD, -force * (self.CDa - self.CL), 0.0, -GRAVITY_M_S2])
         return np.array([u_dot, w_dot, q_dot, [0.0, 0.0, 1.0, 0.0]])
 
     def lateral(self) -> Mat:
@@ -74,7 +73,7 @@ class Derivatives:
             [[self.Clb, self.Clp * late, self.Clr * late, 0.0], [self.Cnb, self.Cnp * late, self.Cnr * late, 0.0]]
         )
         p_dot, r_dot = np.linalg.solve(np.array([[Ixx, -Ixz], [-Ixz, Izz]]), moments)
-        side = [pressure * self.CYb / (self.mass_kg * V), 0.0, -1.0, G / V]
+        side = [pressure * self.CYb / (self.mass_kg * V), 0.0, -1.0, GRAVITY_M_S2 / V]
         return np.array([side, p_dot, r_dot, [0.0, 1.0, 0.0, 0.0]])
 
     def modes(self) -> tuple[Mode, ...]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.geometry import Mat
+from companion.geometry import GRAVITY_M_S2, Mat
 from sim_bridge.linearize.model import (
     Condition,
     Mode,
@@ -27,7 +27,7 @@ from sim_bridge.linearize.published import Derivatives
 from sim_bridge.plant.aircraft_data import AircraftData
 from sim_bridge.plant.fdm import LBF, Fdm
 from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
-from sim_bridge.plant.tanker import G, trim_tanker
+from sim_bridge.plant.tanker import trim_tanker
 
 INPUTS = ("thrust", "elevator", "aileron", "rudder")
 THRUST_UNIT_N = 1e5
@@ -73,7 +73,7 @@ def textbook(data: AircraftData, k: dict[str, float], fdm: Fdm, trim: Trim) -> D
     """
     speed, alpha = float(trim.x[0]), float(trim.x[1])
     density = fdm.air_density_kg_m3()
-    CL = fdm.mass_kg * G / (0.5 * density * speed * speed * data.area_m2)
+    CL = fdm.mass_kg * GRAVITY_M_S2 / (0.5 * density * speed * speed * data.area_m2)
     R = np.array([[math.cos(alpha), math.sin(alpha)], [-math.sin(alpha), math.cos(alpha)]])
     Ixx, Iyy, Izz, Ixz = data.inertia_kg_m2
     inertia = R @ np.array([[Ixx, -Ixz], [-Ixz, Izz]]) @ R.T

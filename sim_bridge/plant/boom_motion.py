@@ -18,10 +18,10 @@ from typing import Any
 
 from numba import njit
 
+from companion.geometry import GRAVITY_M_S2
 from sim_bridge.plant.boom_dynamics import direction_of, jacobian_of, masses_of
 from sim_bridge.plant.boom_forces import INNER_NODES, accelerations, nozzle_force
 
-G_M_S2 = 9.80665
 K_ANGLE, K_ANGLE_RATE, K_ANGLE_SUM = 20.0, 9.0, 30.0
 """Of the boom's angles: rad/s2 per rad, per rad/s, per rad s. About 4 rad/s beside the boom's own 5 in the air."""
 K_LENGTH, K_LENGTH_RATE, K_LENGTH_SUM = 30.0, 10.0, 20.0
@@ -96,7 +96,7 @@ def carry(par: Any, given: Any, s: Any, R_t: Rotation) -> None:
     sx, sy, sz = cross(p, q, r, x, y, z)
     cx, cy, cz = cross(p, q, r, u + sx, v + sy, w + sz)
     dx, dy, dz = cross(s.pd, s.qd, s.rd, x, y, z)
-    gx, gy, gz = turned_back(R_t, 0.0, 0.0, G_M_S2)
+    gx, gy, gz = turned_back(R_t, 0.0, 0.0, GRAVITY_M_S2)
     s.f_x, s.f_y, s.f_z = given.t_udot + cx + dx - gx, given.t_vdot + cy + dy - gy, given.t_wdot + cz + dz - gz
     wx, wy, wz = turned_back(R_t, given.wind_n, given.wind_e, given.wind_d)
     s.air_x, s.air_y, s.air_z = u + sx - wx, v + sy - wy, w + sz - wz

@@ -26,13 +26,12 @@ import numpy as np
 from jsbsim._jsbsim import LogExceptionError
 
 from companion.config import Vec3
-from companion.geometry import Mat
+from companion.geometry import GRAVITY_M_S2, Mat
 from sim_bridge.truth import BodyState
 
 ROOT = Path(__file__).resolve().parent.parent / "aircraft"
 FT = 0.3048
 LBF = 4.4482216152605
-G_M_S2 = 9.80665
 SLUG_FT3 = 515.3788183932
 """kg/m3 in one slug per cubic foot."""
 
@@ -183,7 +182,7 @@ class Fdm:
 
     def set_transferred(self, fuel_kg: float) -> None:
         """Set the fuel got in flight (negative: given); mass and inertia follow in the next step."""
-        self._set_transferred(fuel_kg * G_M_S2 / LBF)
+        self._set_transferred(fuel_kg * GRAVITY_M_S2 / LBF)
         self._mass_kg = self._empty_kg + fuel_kg
 
     def set_boom_force(self, force_body_n: tuple[float, float, float]) -> None:

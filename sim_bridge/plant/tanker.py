@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from scipy.optimize import root
 
+from companion.geometry import GRAVITY_M_S2
 from sim_bridge.plant.conditions import CourseConfig, WindConfig
 from sim_bridge.plant.fdm import LBF, Fdm, InitialCondition, PlantError
 from sim_bridge.plant.wind import Wind
 
-G = 9.80665
 INPUTS = ("tanker/thrust-lbs", "tanker/elevator-rad", "tanker/aileron-rad", "tanker/rudder-rad")
 ENGINE_LAG_S = 2.0
 THRUST_MAX_N = 160e3
@@ -40,7 +40,7 @@ class TankerTrim:
     def start(self, p_ned_m: tuple[float, float, float], heading_rad: float) -> InitialCondition:
         """Return this flight at a place, in air at rest."""
         V, alpha, bank, pitch = self.speed_m_s, self.alpha_rad, self.bank_rad, self.pitch_rad
-        turn = G / V * math.tan(bank)
+        turn = GRAVITY_M_S2 / V * math.tan(bank)
         level = turn * math.cos(pitch)
         omega = (-turn * math.sin(pitch), level * math.sin(bank), level * math.cos(bank))
         v_body = (V * math.cos(alpha), 0.0, V * math.sin(alpha))
@@ -80,7 +80,7 @@ class Course:
     """Where the tanker heads and how it banks over time.
 
     A racetrack is leg, half turn, leg, half turn, and again; bank goes up and down at ``ROLL_RATE_RAD_S``, and heading
-    is what coordinated flight makes of it, psi' = G / V tan(bank).
+    is what coordinated flight makes of it, psi' = g / V tan(bank).
     """
 
     def __init__(self, config: CourseConfig, heading_rad: float, speed_m_s: float) -> None:
@@ -89,7 +89,7 @@ class Course:
         self._side = 1.0 if config.turn == "right" else -1.0
         self._leg_s = config.leg_s if config.kind == "racetrack" else math.inf
         self.bank_rad = config.bank_rad if config.kind == "racetrack" else 0.0
-        self._rate = G / speed_m_s
+        self._rate = GRAVITY_M_S2 / speed_m_s
         self._roll_s = self.bank_rad / ROLL_RATE_RAD_S
         self._held_s = 0.0
         if self.bank_rad:
@@ -162,13 +162,13 @@ class TankerAutopilot:
         climb = 0.0008 * too_low_m + 0.004 * f.v_d + 0.00004 * self._integral_m_s
         pitch = trim.pitch_rad + share * (turning.pitch_rad - trim.pitch_rad)
         pitch_error = f.pitch - (pitch + clamp(climb, 0.05))
-        pulled = G / trim.speed_m_s * math.tan(bank) * math.sin(bank)
+        pulled = GRAVITY_M_S2 / trim.speed_m_s * math.tan(bank) * math.sin(bank)
         elevator = trim.elevator_rad + share * (turning.elevator_rad - trim.elevator_rad)
         elevator += 0.8 * pitch_error + 0.8 * (f.q - pulled)
         turn = math.remainder(heading - f.yaw, 2.0 * math.pi)
         roll_error = f.roll - (bank + clamp(1.0 * turn, 0.2))
         aileron = 1.0 * roll_error + 1.0 * (f.p - roll_rate)
-        rudder = 0.8 * (f.r - G / trim.speed_m_s * math.sin(f.roll))
+        rudder = 0.8 * (f.r - GRAVITY_M_S2 / trim.speed_m_s * math.sin(f.roll))
         thrust_n = trim.thrust_n + share * (turning.thrust_n - trim.thrust_n)
         wanted_n = thrust_n + 0.15 * f.mass_kg * (trim.speed_m_s - self._airspeed_m_s())
         self._thrust_n += self._share * (min(max(wanted_n, 0.0), THRUST_MAX_N) - self._thrust_n)

@@ -20,12 +20,14 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from companion.geometry import Vec
+from companion.geometry import GRAVITY_M_S2, Vec
 from sim_bridge.plant.fdm import PlantError
 
 TABLE = Path(__file__).parent.parent / "aircraft" / "wake.csv"
 REMAKE = "make it with: python -m sim_bridge.aero.wake_table --write"
-WEIGHT_OVER_RHO_V2_M2 = 110e3 * 9.80665 / (0.66012 * 205.7**2)
+RHO_V2_PA = 0.66012 * 205.7**2
+"""Twice the dynamic pressure at Mach 0.65, 6000 m."""
+WEIGHT_OVER_RHO_V2_M2 = 110e3 * GRAVITY_M_S2 / RHO_V2_PA
 """Of the tanker that the table is for."""
 FADE_M = 25.0
 MIRRORED = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from companion.config import AirframeConfig, TankerConfig, Vec3
-from companion.geometry import Vec
+from companion.geometry import GRAVITY_M_S2, Vec
 from sim_bridge.plant.actuators import ActuatorConfig, Actuators
 from sim_bridge.plant.aircraft_data import AIRCRAFT, read_aircraft
 from sim_bridge.plant.boom import AirAtBoom, Boom, Carrier, Receptacle
@@ -20,7 +20,7 @@ from sim_bridge.plant.conditions import PlantConditions
 from sim_bridge.plant.fdm import Fdm, InitialCondition, PlantError
 from sim_bridge.plant.gusts import GustField
 from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
-from sim_bridge.plant.tanker import G, TankerAutopilot, TankerTrim, trim_tanker
+from sim_bridge.plant.tanker import TankerAutopilot, TankerTrim, trim_tanker
 from sim_bridge.plant.wake import Wake
 from sim_bridge.plant.wind import Wind, start_in_wind
 from sim_bridge.truth import EFFECTORS, Truth
@@ -62,7 +62,7 @@ class World:
         data = {name: read_aircraft(name) for name in AIRCRAFT}  # JSBSim takes a file with anything in it
         self._tanker = Fdm("kc135r", TANKER_INPUTS, dt_s, ALTITUDE_M)
         trim = self._start_tanker(airframe.trim.airspeed_m_s, heading_rad)
-        weight_n = self._tanker.mass_kg * G
+        weight_n = self._tanker.mass_kg * GRAVITY_M_S2
         self._wake = Wake(weight_n, self._tanker.air_density_kg_m3(), trim.speed_m_s) if wake else None
         lift_slope = data["ice101"].coefficients["CLa"].value
         self._downwash_m_s = self._downwash(tanker.box_tanker_m, lift_slope, trim.speed_m_s)

@@ -18,11 +18,11 @@ from level_flight import (
 )
 
 from companion.config import ConfigError
-from companion.geometry import rotation_from_euler
+from companion.geometry import GRAVITY_M_S2, rotation_from_euler
 from companion.guidance.guard import Envelope, guard
 from companion.io.telemetry import setpoint_message
 from companion.messages import Reject, VelocitySetpoint
-from sim_bridge.autopilot.setpoints import GRAVITY_M_S2, SetpointError, VelocityCommand, velocity_command
+from sim_bridge.autopilot.setpoints import SetpointError, VelocityCommand, velocity_command
 from sim_bridge.autopilot.velocity_loop import VelocityLoop
 from sim_bridge.sensors import InertialSample, InertialSensor
 

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.geometry import GRAVITY_M_S2
 from sim_bridge.__main__ import main
 from sim_bridge.aero import planforms
 from sim_bridge.aero.derivatives import Row, compare
 from sim_bridge.aero.vortex_lattice import Trapezoid
 from sim_bridge.linearize import Condition, linearize
 from sim_bridge.plant.aircraft_data import AIRCRAFT, SLUG_FT2, Coefficient, read_aircraft
-from sim_bridge.plant.fdm import G_M_S2, LBF, ROOT, Fdm, InitialCondition, PlantError
+from sim_bridge.plant.fdm import LBF, ROOT, Fdm, InitialCondition, PlantError
 from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
 from sim_bridge.plant.world import ALTITUDE_M, UAV_INPUTS
 
@@ -221,7 +222,7 @@ def test_transferred_fuel_adds_mass_and_inertia_of_its_cylinder() -> None:
         assert fdm.mass_kg == pytest.approx(mass_kg + fuel_kg)
         force_z = fdm.state(0).specific_force_body_m_s2[2]
         w_dot = fdm.accelerations()[0][2]
-        expected = force_z + G_M_S2 * np.cos(fdm.pitch) * np.cos(fdm.roll) + _turning(fdm)
+        expected = force_z + GRAVITY_M_S2 * np.cos(fdm.pitch) * np.cos(fdm.roll) + _turning(fdm)
         assert w_dot == pytest.approx(expected, abs=1e-3)  # a tenth of a kilogram would be seen
 
 

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.geometry import GRAVITY_M_S2
 from sim_bridge.linearize import LATERAL, linearize
-from sim_bridge.plant.fdm import G_M_S2, Fdm, InitialCondition
+from sim_bridge.plant.fdm import Fdm, InitialCondition
 from sim_bridge.plant.tanker import INPUTS as TANKER_INPUTS
 from sim_bridge.plant.world import ALTITUDE_M, CALM_WAKE, UAV_INPUTS
 from sim_bridge.truth import BodyState
@@ -97,7 +98,7 @@ def flight() -> list[BodyState]:
 
 
 def test_energy_changes_by_the_power_of_air_and_engine(flight: list[BodyState]) -> None:
-    energy = np.array([0.5 * s.v_ned_m_s @ s.v_ned_m_s - G_M_S2 * s.p_ned_m[2] for s in flight])
+    energy = np.array([0.5 * s.v_ned_m_s @ s.v_ned_m_s - GRAVITY_M_S2 * s.p_ned_m[2] for s in flight])
     power = np.array([s.R_ned_body @ s.specific_force_body_m_s2 @ s.v_ned_m_s for s in flight])
     work = np.concatenate(([0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * DT)))
     assert np.ptp(energy) > 30.0  # J/kg: it did change
@@ -107,7 +108,7 @@ def test_energy_changes_by_the_power_of_air_and_engine(flight: list[BodyState]) 
 def test_momentum_changes_by_force_and_weight(flight: list[BodyState]) -> None:
     v = np.array([s.v_ned_m_s for s in flight])
     force = np.array([s.R_ned_body @ s.specific_force_body_m_s2 for s in flight])
-    force[:, 2] += G_M_S2
+    force[:, 2] += GRAVITY_M_S2
     found = (v[2:] - v[:-2]) / (2.0 * DT)
     smooth = np.abs(np.arange(1, 399) - 101) > 3  # not across the step of the flaps
     assert np.abs(force).max() > 2.0
