@@ -21,7 +21,7 @@ from companion.io.clock import SimulatedClock
 from companion.io.datalink import TankerReceiver
 from companion.io.mavlink import AutopilotLink
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import NS, CameraFrame, MarkerFrame, Output, Phase, PhaseChange, Setpoint, Tick
+from companion.messages import NS, CameraFrame, Event, MarkerFrame, Output, Phase, PhaseChange, Setpoint, Tick
 from companion.ports import Recorder
 from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
@@ -85,6 +85,25 @@ class LockstepCompanion:
         self._out += self.link.outgoing(t_ns)
         out, self._out = bytes(self._out), bytearray()
         return out
+
+
+class Unrecorded:
+    """A recorder that keeps nothing."""
+
+    def event(self, event: Event) -> None:
+        """Forget an input."""
+
+    def output(self, output: Output) -> None:
+        """Forget an output."""
+
+    def mavlink(self, t_ns: int, data: bytes) -> None:
+        """Forget a frame."""
+
+    def latency(self, t_ns: int, stage: str, duration_ns: int) -> None:
+        """Forget how long a stage took."""
+
+    def close(self) -> None:
+        """Close nothing."""
 
 
 def stamped(frame: CameraFrame | MarkerFrame, t_ns: int) -> CameraFrame | MarkerFrame:

@@ -26,8 +26,8 @@ import numpy as np
 from companion.app import warm_up
 from companion.config import Setup
 from companion.geometry import Vec
-from companion.messages import Event, Output, PhaseChange
-from sim_bridge.flight import Ending, LockstepCompanion, run
+from companion.messages import Output, PhaseChange
+from sim_bridge.flight import Ending, LockstepCompanion, Unrecorded, run
 from sim_bridge.plant.conditions import AirframeErrors
 from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.scoring import score
@@ -109,25 +109,6 @@ ERRORS: tuple[tuple[str, dict[str, Any]], ...] = (
     *((f"{name} x {factor}", {"coefficients": {name: factor}})
       for name, factors in (("Cnb", (0.5, 1.5)), ("Clb", (0.5, 1.5)), ("CLa", (0.9, 1.1))) for factor in factors),
 )
-
-
-class Unrecorded:
-    """A recorder that writes nothing."""
-
-    def event(self, event: Event) -> None:
-        """Forget an input."""
-
-    def output(self, output: Output) -> None:
-        """Forget an output."""
-
-    def mavlink(self, t_ns: int, data: bytes) -> None:
-        """Forget a frame."""
-
-    def latency(self, t_ns: int, stage: str, duration_ns: int) -> None:
-        """Forget how long a stage took."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 def fly_once(scenario: Scenario, setup: Setup) -> dict[str, Any]:

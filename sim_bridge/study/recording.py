@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from companion.app import warm_up
 from companion.config import ConfigError, Setup
 from companion.geometry import SE3, Mat, Vec
-from companion.messages import NS, Event, FusedPose, Output, Phase, PhaseChange, VisionOutput
+from companion.messages import NS, FusedPose, Output, Phase, PhaseChange, VisionOutput
 from companion.vision.camera import T_frd_cam, pixels_to_normalised
 from companion.vision.labeling import label_mutual_nearest
-from sim_bridge.flight import LockstepCompanion
+from sim_bridge.flight import LockstepCompanion, Unrecorded
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.simulation import TRUTH_EVERY, Simulation
@@ -65,25 +65,6 @@ class Recording:
     def scale_px(self) -> float:
         """Return the camera's focal length in pixels."""
         return float(np.sqrt(self.setup.camera.fx_px * self.setup.camera.fy_px))
-
-
-class Forgetful:
-    """A recorder that keeps nothing."""
-
-    def event(self, event: Event) -> None:
-        """Forget an input."""
-
-    def output(self, output: Output) -> None:
-        """Forget an output."""
-
-    def mavlink(self, t_ns: int, data: bytes) -> None:
-        """Forget a frame."""
-
-    def latency(self, t_ns: int, stage: str, duration_ns: int) -> None:
-        """Forget a duration."""
-
-    def close(self) -> None:
-        """Close nothing."""
 
 
 def stamp_ms(t_ns: int) -> int:
@@ -136,7 +117,7 @@ def record(mode: Mode, seed: int, duration_s: float = DURATION_S) -> Recording:
     setup = setup_for(scenario, mode)
     warm_up(setup)
     simulation, notes = Simulation(scenario, setup), Notes()
-    companion = LockstepCompanion(setup, Forgetful(), notes.output)
+    companion = LockstepCompanion(setup, Unrecorded(), notes.output)
     blend, step = companion.service.pipeline.blend, 0
     while not notes.over(simulation.truth.t_ns, duration_s):
         if step % TRUTH_EVERY == 0:

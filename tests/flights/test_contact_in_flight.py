@@ -6,8 +6,7 @@ from lockstep import near
 
 from companion.app import warm_up
 from companion.messages import NS
-from sim_bridge.flight import Ending, LockstepCompanion, run
-from sim_bridge.margins import Unrecorded
+from sim_bridge.flight import Ending, LockstepCompanion, Unrecorded, run
 from sim_bridge.plant.conditions import BoomConditions, PlantConditions
 from sim_bridge.plant.fdm import FT, LBF
 from sim_bridge.scoring import refuelling
