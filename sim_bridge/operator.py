@@ -9,18 +9,19 @@ from sim_bridge.scenario import TimedCommand
 
 
 class ScheduledOperator:
-    """Commands as the bytes that a ground station would put on the link."""
+    """Commands when they are due, and as the bytes that a ground station would put on the link."""
 
     def __init__(self, links: LinksConfig, commands: tuple[TimedCommand, ...]) -> None:
         self._operator = Operator(links)
         self._pending = sorted(commands, key=lambda c: c.at_s)
-        self.called_breakaway = False
 
-    def due(self, t_ns: int) -> bytes:
-        """Return the frames of what is due at ``t_ns`` and has not been sent."""
-        frames = b""
+    def due(self, t_ns: int) -> list[Command]:
+        """Return what is due at ``t_ns`` and has not been given yet."""
+        commands = []
         while self._pending and self._pending[0].at_s * 1e9 <= t_ns:
-            command = self._pending.pop(0).command
-            self.called_breakaway |= command is Command.BREAKAWAY
-            frames += self._operator.frame(command)
-        return frames
+            commands.append(self._pending.pop(0).command)
+        return commands
+
+    def frame(self, command: Command) -> bytes:
+        """Return a command as it goes out on the link."""
+        return self._operator.frame(command)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from companion.config import Setup
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.io.datalink import encode_frame
-from companion.messages import CameraFrame, MarkerFrame, TankerState
+from companion.messages import CameraFrame, Command, MarkerFrame, TankerState
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
 from sim_bridge.datalink import SerialPacer
 from sim_bridge.marker_sensor import MarkerCamera
@@ -143,9 +143,11 @@ class Simulation:
         if state is not None:
             self._serial.write(self._report(state), t_ns)
         self._camera.expose(truth)
-        mavlink = self.autopilot.outgoing(t_ns) + self._operator.due(t_ns)
-        if self._operator.called_breakaway:  # the whole formation hears it on the radio
-            self.world.boom.disconnect("breakaway called")
+        mavlink = self.autopilot.outgoing(t_ns)
+        for command in self._operator.due(t_ns):
+            mavlink += self._operator.frame(command)
+            if command is Command.BREAKAWAY:  # the whole formation hears it on the radio
+                self.world.boom.disconnect("breakaway called")
         arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), self._camera.delivered(t_ns))
         self.world.step(effectors)
         return arrivals
