@@ -86,6 +86,23 @@ class TankerState:
     omega_tanker_rad_s: Vec
 
 
+@dataclass(frozen=True, slots=True)
+class GpsStatus:
+    """What the receiver's GPS says of itself (GPS_RAW_INT): whether it has a three-dimensional fix."""
+
+    t_ns: int
+    has_fix: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TimeStep:
+    """The clock that stamps ``source`` has stepped: what was stamped before lies ``step_ns`` beside what comes now."""
+
+    t_ns: int
+    source: str
+    step_ns: int
+
+
 class AutopilotMode(StrEnum):
     """What the autopilot says it does with setpoints."""
 
@@ -104,9 +121,12 @@ class AutopilotStatus:
 
 
 class Command(StrEnum):
-    """What an operator can ask for."""
+    """What an operator can ask for; ``pre_contact`` and ``contact`` clear the receiver to go there."""
 
     ENGAGE = "engage"
+    PRE_CONTACT = "pre_contact"
+    CONTACT = "contact"
+    DISCONNECT = "disconnect"
     BREAKAWAY = "breakaway"
     CLEAR = "clear"
     REAL_VISION = "real_vision"
@@ -139,8 +159,8 @@ class Reject:
 
 
 Event = (
-    CameraFrame | MarkerFrame | OwnAttitude | OwnPosition | TankerState | AutopilotStatus | OperatorCommand | Tick
-    | Reject
+    CameraFrame | MarkerFrame | OwnAttitude | OwnPosition | GpsStatus | TankerState | TimeStep | AutopilotStatus
+    | OperatorCommand | Tick | Reject
 )
 
 
@@ -167,12 +187,16 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisionOutput:
-    """Everything that the vision chain found in one frame; ``pose`` is None when ``reject`` says why not."""
+    """Everything that the vision chain found in one frame; ``pose`` is None when ``reject`` says why not.
+
+    ``labels`` (n,) as of ``PoseMeasurement``, verified: also there when they were too few for a pose.
+    """
 
     t_ns: int
     sequence: int
     detections: Detections
     predicted_uv_px: Mat
+    labels: NDArray[np.int64]
     pose: PoseMeasurement | None
     reject: Reject | None
 
@@ -188,6 +212,45 @@ class FusedPose:
     markers_used: int
 
 
+@dataclass(frozen=True, slots=True)
+class FilterUpdate:
+    """One measurement before the filter: normalised innovation squared, its degrees of freedom, and what came of it.
+
+    ``source``: ``gps``, ``pixels``, ``pose_attitude``, ...; ``reason`` is empty when it was taken.
+    """
+
+    t_ns: int
+    source: str
+    nis: float
+    dof: int
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterState:
+    """The filter's estimate at one instant, for integrity and for the record.
+
+    ``x`` and ``sigma`` (16,), in the order of ``companion.estimation.filter_state.NAMES``: corrections that the filter
+    adds to what the sensors say, and their standard deviations; ``cov`` (16, 16).
+    """
+
+    t_ns: int
+    x: Vec
+    sigma: Vec
+    cov: Mat
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Instant of the newest valid sample of each source, None when there has been none; ``sight``: a pose or labels
+    that fusion took."""
+
+    attitude_ns: int | None = None
+    position_ns: int | None = None
+    tanker_ns: int | None = None
+    sight_ns: int | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativeState:
     """Where the receiver is relative to the box, at one instant; what guidance flies on.
@@ -196,6 +259,7 @@ class RelativeState:
     mass against the box, as seen in the turning frame. ``v_ned_box_m_s``, ``a_ned_box_m_s2`` (3,) inertial velocity and
     acceleration of the box; ``heading0_rad`` nominal heading of the tanker (the frame's), ``turn_rate_rad_s`` its rate.
     ``range_m`` camera to tanker origin. ``estimate_t_ns`` instant of the oldest sample that the estimate rests on.
+    ``cov_mrf_br_m2`` (3, 3) covariance of ``p_mrf_br_m``, as far as the fusion knows it.
     """
 
     t_ns: int
@@ -212,15 +276,76 @@ class RelativeState:
     range_m: float
     vision_weight: float
     markers_used: int
+    cov_mrf_br_m2: Mat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Integrity:
+    """How far the estimate can be trusted, at one instant.
+
+    ``protection_mrf_m`` (3,): BR is within so much of the estimate per axis of ``mrf``, but for the risk of the
+    configuration; ``alert_mrf_m`` (3,): what it may be at most. ``may_dock``: it is inside, and no test fails.
+    ``faults``: the tests that fail, by name, none when all is well; ``unseen``: nothing yet to judge by.
+    """
+
+    t_ns: int
+    protection_mrf_m: Vec
+    alert_mrf_m: Vec
+    may_dock: bool
+    faults: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class StageHealth:
+    """One stage: there at all, used in the present phase, and doing what it should; ``detail`` for people."""
+
+    name: str
+    present: bool
+    enabled: bool
+    healthy: bool
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """All stages; told when one changes."""
+
+    t_ns: int
+    stages: tuple[StageHealth, ...]
+
+    @property
+    def well(self) -> bool:
+        """Whether every stage that is used does what it should."""
+        return all(stage.healthy for stage in self.stages if stage.enabled)
+
+
+@dataclass(frozen=True, slots=True)
+class InputLatency:
+    """How late an input's content is when it arrives, running: mean, spread, worst of the last seconds.
+
+    ``cost_m``: how far the receiver moves in the mean latency, what ignoring it would cost.
+    """
+
+    t_ns: int
+    source: str
+    mean_s: float
+    jitter_s: float
+    worst_s: float
+    cost_m: float
 
 
 class Phase(StrEnum):
     """Phases of a refuelling approach; rules in ``companion.guidance.modes``."""
 
     STANDBY = "standby"
+    SELF_TEST = "self_test"
     JOIN = "join"
+    OBSERVATION = "observation"
+    PRE_CONTACT = "pre_contact"
     APPROACH = "approach"
+    CONTACT = "contact"
     HOLD = "hold"
+    DISCONNECT = "disconnect"
     BREAKAWAY = "breakaway"
 
 
@@ -303,4 +428,7 @@ class VisionModeChange:
     mode: VisionMode
 
 
-Output = VisionOutput | FusedPose | RelativeState | PhaseChange | GuidanceOutput | Setpoint | VisionModeChange | Reject
+Output = (
+    VisionOutput | FusedPose | FilterUpdate | FilterState | RelativeState | Integrity | PhaseChange | GuidanceOutput
+    | Setpoint | Health | InputLatency | VisionModeChange | Reject
+)

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import Setup
+from companion.estimation.aircraft import Aircraft
 from companion.estimation.blend import Blend
+from companion.estimation.fusion import Fusion
 from companion.estimation.relative import RelativeEstimator
 from companion.guidance.approach import Approach
 from companion.messages import (
@@ -22,6 +24,7 @@ from companion.messages import (
     CameraFrame,
     Command,
     Event,
+    GpsStatus,
     MarkerFrame,
     OperatorCommand,
     Output,
@@ -31,6 +34,7 @@ from companion.messages import (
     Reject,
     TankerState,
     Tick,
+    TimeStep,
     VisionMode,
     VisionModeChange,
 )
@@ -50,8 +54,9 @@ class Pipeline:
     def __init__(self, setup: Setup, mark: Callable[[str], None] = unmarked) -> None:
         self._mark = mark
         self.vision = VisionChain(setup.camera, setup.tanker, setup.config.vision)
-        self.blend = Blend(setup.config.fusion, T_frd_cam(setup.camera))
-        self.relative = RelativeEstimator(self.blend, setup.tanker, setup.airframe)
+        self.aircraft = Aircraft(setup.config.fusion, T_frd_cam(setup.camera))
+        self.fusion: Fusion = Blend(setup.config.fusion, self.aircraft)
+        self.relative = RelativeEstimator(self.fusion, self.aircraft, setup.tanker, setup.airframe)
         self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
         self._last_frame: CameraFrame | MarkerFrame | None = None
         self._seen_real = False  # a pose of a picture since real vision was switched on
@@ -60,9 +65,11 @@ class Pipeline:
             CameraFrame: self._frame,
             MarkerFrame: self._frame,
             Tick: self._tick,
-            OwnAttitude: lambda event: _only(self.blend.own_attitude_event(event)),
-            OwnPosition: lambda event: _only(self.blend.own_position_event(event)),
-            TankerState: lambda event: _only(self.blend.tanker_event(event)),
+            OwnAttitude: lambda event: _only(self.aircraft.own_attitude_event(event)),
+            OwnPosition: lambda event: self._position(self.aircraft.own_position_event(event)),
+            TankerState: lambda event: self._position(self.aircraft.tanker_event(event)),
+            GpsStatus: self._gps,
+            TimeStep: self._time_step,
             AutopilotStatus: self._status,
             OperatorCommand: self._command,
             Reject: lambda event: [event],
@@ -89,22 +96,40 @@ class Pipeline:
         self.approach.command_event(command.command)
         return []
 
+    def _position(self, reject: Reject | None) -> list[Output]:
+        return self.fusion.positions() if reject is None else [reject]
+
+    def _gps(self, status: GpsStatus) -> list[Output]:
+        self.aircraft.gps_event(status)
+        return []
+
+    def _time_step(self, step: TimeStep) -> list[Output]:
+        """Begin anew: nothing that was stamped before the step can be put beside what comes after it."""
+        self.aircraft.time_step_event(step)
+        self.fusion.restart()
+        self.relative.restart()
+        return []
+
     def _frame(self, frame: CameraFrame | MarkerFrame) -> list[Output]:
         fault = self._standstill(frame)
         if fault:
             return [Reject(frame.t_ns, "camera", fault)]
         # Simulated vision projects what GPS says: its own answer as prior would feed on itself (thesis 4.2.5, 7.3).
         looks = self.vision.mode is VisionMode.REAL
-        prior = self.blend.prior(frame.t_ns) if looks else self.blend.gps_prior(frame.t_ns)
+        if looks:
+            known = self.fusion.prior(frame.t_ns)
+            prior = None if known is None else known.T_cam_tanker
+            tracked = known is not None and known.tracked and self._seen_real
+        else:
+            prior, tracked = self.fusion.gps_prior(frame.t_ns), False
         if prior is None:
             return [Reject(frame.t_ns, "vision", "no_prior")]
-        tracked = looks and self._seen_real and self.blend.tracks(frame.t_ns)
         seen = self.vision.process(frame, prior, tracked=tracked)
         self._seen_real = looks and (self._seen_real or seen.pose is not None)
         self._mark("vision")
-        fused = self.blend.update(frame.t_ns, seen.pose)
+        fused = self.fusion.vision(seen)
         self._mark("fusion")
-        return [seen] if fused is None else [seen, fused]
+        return [seen, *fused]
 
     def _standstill(self, frame: CameraFrame | MarkerFrame) -> str:
         """Say what shows that the camera stands still: a stamp, or a picture bit for bit, that has been before.

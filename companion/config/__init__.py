@@ -4,27 +4,26 @@
 Frozen, loaded once and passed down. A wrong file is one ``ConfigError`` that names file, field and unit.
 """
 
+from companion.config.base import Rules, Struct, Vec3
+from companion.config.boom import BoomConfig
 from companion.config.errors import ConfigError
+from companion.config.estimation import FilterConfig, FusionConfig, IntegrityConfig
+from companion.config.guidance import GuidanceConfig
 from companion.config.loading import assemble, load, load_setup
 from companion.config.structures import (
     FIRMWARE_CONFIGS,
     AirframeConfig,
     AttitudeResponse,
-    BoomConfig,
     CameraConfig,
     CompanionConfig,
     CornerConfig,
     CornerPointConfig,
     DetectionConfig,
-    FusionConfig,
-    GuidanceConfig,
     LabelingConfig,
     LinksConfig,
     Setup,
-    Struct,
     TankerConfig,
     TrimConfig,
-    Vec3,
     VisionConfig,
     WindowConfig,
     landmarks,
@@ -41,10 +40,13 @@ __all__ = [
     "CornerConfig",
     "CornerPointConfig",
     "DetectionConfig",
+    "FilterConfig",
     "FusionConfig",
     "GuidanceConfig",
+    "IntegrityConfig",
     "LabelingConfig",
     "LinksConfig",
+    "Rules",
     "Setup",
     "Struct",
     "TankerConfig",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 
-import msgspec
 import numpy as np
 
+from companion.config.base import Rules
+from companion.config.boom import boom_rules
+from companion.config.estimation import fusion_rules, integrity_rules
+from companion.config.guidance import guidance_rules
 from companion.config.structures import (
     AirframeConfig,
-    BoomConfig,
     CameraConfig,
     CompanionConfig,
     CornerConfig,
@@ -18,9 +20,6 @@ from companion.config.structures import (
     TankerConfig,
     landmarks,
 )
-
-Rules = list[tuple[bool, str]]
-"""What has to hold of values that are of the right type, and what to say when it does not."""
 
 
 def enough_markers(c: CompanionConfig, t: TankerConfig) -> tuple[bool, str]:
@@ -109,46 +108,6 @@ def tanker_rules(t: TankerConfig) -> Rules:
     ]
 
 
-def boom_rules(b: BoomConfig) -> Rules:
-    """Return what has to hold of a boom."""
-    t, v, e, n = b.tubes, b.ruddevators, b.envelope, b.nozzle
-    longest_m = t.outer_length_m + e.stop_extension_m
-    low, high = e.elevation_rad
-    stop_low, stop_high = e.stop_elevation_rad
-    drags = (t.cross_drag, t.skin_friction, v.drag, v.induced_drag, b.drive.friction_n, b.drive.hinge_n_m_s)
-    return [
-        (min(t.outer_mass_kg, t.inner_mass_kg) >= 10.0,
-         "boom.tubes: outer_mass_kg and inner_mass_kg must be at least 10 kilograms"),
-        (0 < t.outer_com_m < t.outer_length_m and 0 < t.inner_com_m < t.inner_length_m,
-         "boom.tubes: outer_com_m and inner_com_m must lie within outer_length_m and inner_length_m"),
-        (0 < t.inner_diameter_m <= t.outer_diameter_m <= 2.0,
-         "boom.tubes: inner_diameter_m must be positive and at most outer_diameter_m, that at most 2 metres"),
-        (min(drags) >= 0, "boom: drag and friction must not be negative"),
-        (0 < v.at_m <= t.outer_length_m, "boom.ruddevators.at_m must be in 0..outer_length_m metres"),
-        (min(v.area_m2, v.lift_slope, v.max_lift, v.rate_rad_s, v.lag_s) > 0,
-         "boom.ruddevators: area_m2, lift_slope, max_lift, rate_rad_s and lag_s must be positive"),
-        (0 < v.dihedral_rad < math.pi / 2 and 0 < v.limit_rad < math.pi / 4,
-         "boom.ruddevators: dihedral_rad must be in 0..pi / 2 and limit_rad in 0..pi / 4 (radians, not degrees)"),
-        (min(b.drive.force_n, b.drive.rate_m_s) > 0, "boom.drive: force_n and rate_m_s must be positive"),
-        (0 < stop_low < low < high < stop_high < math.pi / 2,
-         "boom.envelope: elevation_rad must rise and lie inside stop_elevation_rad, that in 0..pi / 2"),
-        (0 < e.azimuth_rad < e.stop_azimuth_rad < math.pi / 2,
-         "boom.envelope: azimuth_rad must be positive and inside stop_azimuth_rad (radians, not degrees)"),
-        (0 <= e.extension_m[0] < e.extension_m[1] <= e.stop_extension_m,
-         "boom.envelope: extension_m must rise and lie in 0..stop_extension_m"),
-        (e.stop_extension_m < t.inner_length_m,
-         "boom.envelope.stop_extension_m must be less than tubes.inner_length_m, or the telescope falls out"),
-        (stop_low < b.elevation_rad < stop_high and abs(b.azimuth_rad) < e.stop_azimuth_rad,
-         "boom: elevation_rad and azimuth_rad must lie inside the stops of boom.envelope (radians, not degrees)"),
-        (t.outer_length_m <= min(b.length_m, b.ready_length_m) and max(b.length_m, b.ready_length_m) <= longest_m,
-         f"boom: length_m and ready_length_m must be in {t.outer_length_m:g}..{longest_m:g} metres, as its tubes are"),
-        (min(n.capture_m, n.capture_speed_m_s, n.break_load_n) > 0,
-         "boom.nozzle: capture_m, capture_speed_m_s and break_load_n must be positive"),
-        (0 < n.stiffness_n_m <= 1e6 and 0 <= n.damping_n_s_m <= 2e4,
-         "boom.nozzle: stiffness_n_m must be in 0..1e6 and damping_n_s_m in 0..2e4, or 5 ms steps cannot follow"),
-    ]
-
-
 def airframe_rules(a: AirframeConfig) -> Rules:
     """Return what has to hold of an airframe."""
     return [
@@ -203,23 +162,14 @@ def labeling_rules(c: LabelingConfig) -> Rules:
 
 def companion_rules(c: CompanionConfig) -> Rules:
     """Return what has to hold of the companion's own values."""
-    g, links, fusion = c.guidance, c.links, c.fusion
+    links = c.links
     ids = (links.system_id, links.component_id, links.autopilot_component_id, links.gcs_system_id)
     return [
-        (fusion.d1_m > fusion.d2_m > 0, "fusion: d1_m must be larger than d2_m, both in metres"),
-        (fusion.min_markers >= 2, "fusion.min_markers must be at least 2"),
+        *fusion_rules(c.fusion),
+        *integrity_rules(c.integrity),
+        *guidance_rules(c.guidance),
         *corner_rules(c.vision.corners),
         (c.vision.min_markers >= 4, "vision.min_markers must be at least 4"),
-        (min(fusion.vision_stale_s, fusion.own_stale_s, fusion.tanker_stale_s) > 0,
-         "fusion: vision_stale_s, own_stale_s and tanker_stale_s must be positive seconds"),
-        (10 <= g.rate_hz <= 200, "guidance.rate_hz must be in 10..200 hertz"),
-        (g.path_duration_s > 0, "guidance.path_duration_s must be positive seconds"),
-        (g.max_closure_m_s > 0, "guidance.max_closure_m_s must be positive metres per second"),
-        (min(g.join_range_m, g.off_path_m, g.breakaway_separation_m) > 0,
-         "guidance: join_range_m, off_path_m and breakaway_separation_m must be positive metres"),
-        (min(msgspec.structs.astuple(g.weights)) >= 0, "guidance.weights must not be negative"),
-        (min(g.weights.roll, g.weights.pitch, g.weights.thrust) > 0,
-         "guidance.weights: roll, pitch and thrust must be positive"),
         (c.vision.tol > 0 and c.vision.epsilon > 0, "vision: tol and epsilon must be positive"),
         (c.vision.max_image_error_px > 0, "vision.max_image_error_px must be positive pixels"),
         (min(c.vision.sigma_px, c.vision.ins_sigma_rad, c.vision.max_sigma_m, c.vision.max_sigma_rad) > 0,
@@ -231,17 +181,6 @@ def companion_rules(c: CompanionConfig) -> Rules:
         (c.vision.glsdc_iterations >= 1, "vision.glsdc_iterations must be at least 1"),
         (c.vision.detection.morphology_px >= 0, "vision.detection.morphology_px must not be negative"),
         (c.vision.detection.max_detections >= 4, "vision.detection.max_detections must be at least 4"),
-        (0 < g.estimate_stale_s <= 1, "guidance.estimate_stale_s must be in 0..1 seconds"),
-        (g.estimate_stale_s <= g.breakaway_stale_s <= 10,
-         "guidance.breakaway_stale_s must be in estimate_stale_s..10 seconds"),
-        (0 < g.max_roll_rad < math.pi / 2, "guidance.max_roll_rad must be in 0..pi / 2 (radians, not degrees)"),
-        (0 < g.max_pitch_offset_rad < math.pi / 4,
-         "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
-        (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
-        (0 <= g.link_delay_s <= 1, "guidance.link_delay_s must be in 0..1 seconds"),
-        (all(0 < w <= 20 for w in g.disturbance_rad_s),
-         "guidance.disturbance_rad_s must be in 0..20 radians per second"),
-        (min(*g.velocity.position_per_s, *g.velocity.integral_per_s2) >= 0, "guidance.velocity must not be negative"),
         (0 < c.vision.detection.threshold < 256, "vision.detection.threshold must be in 1..255"),
         (1 <= c.vision.detection.min_area_px <= c.vision.detection.max_area_px,
          "vision.detection.min_area_px must be in 1..max_area_px pixels"),

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
+from companion.config.base import Struct, Vec3
+from companion.config.boom import BoomConfig
+from companion.config.estimation import FusionConfig, IntegrityConfig
+from companion.config.guidance import GuidanceConfig
+
 FIRMWARE_CONFIGS = Path(__file__).resolve().parent.parent.parent / "firmware_configs"
 
-
-class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of all configuration: frozen, and a misspelt key is an error."""
-
-
-Vec3 = tuple[float, float, float]
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
 
@@ -71,91 +69,6 @@ class WindowConfig(Struct, frozen=True, kw_only=True):
 
     desired_m: Vec3 = (0.40, 1.87, 0.90)
     limit_m: Vec3 = (2.10, 2.10, 2.56)
-
-
-class BoomTubes(Struct, frozen=True, kw_only=True):
-    """The outer tube of a boom, from its pivot, and the inner one that telescopes out of it.
-
-    ``outer_com_m`` from the pivot, ``inner_com_m`` from the nozzle. ``cross_drag``: drag of a metre of tube across the
-    flow over dynamic pressure and diameter; ``skin_friction`` over wetted area, along it.
-    """
-
-    outer_length_m: float = 8.5
-    outer_diameter_m: float = 0.58
-    outer_mass_kg: float = 500.0
-    outer_com_m: float = 4.4
-    inner_length_m: float = 8.0
-    inner_diameter_m: float = 0.23
-    inner_mass_kg: float = 250.0
-    inner_com_m: float = 3.8
-    cross_drag: float = 0.4
-    skin_friction: float = 0.004
-
-
-class Ruddevators(Struct, frozen=True, kw_only=True):
-    """The two control surfaces of a boom's V-tail; ``area_m2`` of one, ``at_m`` from the pivot, lift per rad.
-
-    Without deflection they make no lift at the boom's nominal elevation in level flow.
-    """
-
-    area_m2: float = 2.2
-    at_m: float = 5.7
-    dihedral_rad: float = math.radians(42.0)
-    lift_slope: float = 3.0
-    max_lift: float = 1.0
-    drag: float = 0.015
-    induced_drag: float = 0.18
-    limit_rad: float = math.radians(25.0)
-    rate_rad_s: float = math.radians(60.0)
-    lag_s: float = 0.05
-
-
-class BoomDrive(Struct, frozen=True, kw_only=True):
-    """The drive of the telescope, and what the joints rub: ``friction_n`` dry, ``hinge_n_m_s`` per rad/s."""
-
-    force_n: float = 10_000.0
-    rate_m_s: float = 1.0
-    friction_n: float = 300.0
-    hinge_n_m_s: float = 500.0
-
-
-class BoomEnvelope(Struct, frozen=True, kw_only=True):
-    """Where a boom may refuel, beyond which it disconnects, and where its stops are; ``extension`` of the telescope."""
-
-    elevation_rad: tuple[float, float] = (math.radians(20.0), math.radians(40.0))
-    azimuth_rad: float = math.radians(10.0)
-    extension_m: tuple[float, float] = (1.8, 5.5)
-    stop_elevation_rad: tuple[float, float] = (math.radians(10.0), math.radians(50.0))
-    stop_azimuth_rad: float = math.radians(15.0)
-    stop_extension_m: float = 6.1
-
-
-class NozzleConfig(Struct, frozen=True, kw_only=True):
-    """When the nozzle latches, how stiffly it sits in the receptacle, and at what load it is torn out."""
-
-    capture_m: float = 0.15
-    capture_speed_m_s: float = 1.0
-    stiffness_n_m: float = 150_000.0
-    damping_n_s_m: float = 7_500.0
-    break_load_n: float = 30_000.0
-
-
-class BoomConfig(Struct, frozen=True, kw_only=True):
-    """Where the boom hangs: pivot in tanker axes, nominal angles and length; how it is made.
-
-    ``ready_length_m``: pivot to nozzle while the operator keeps it clear of a receiver.
-    """
-
-    pivot_tanker_m: Vec3
-    elevation_rad: float = math.radians(30.0)
-    azimuth_rad: float = 0.0
-    length_m: float = 11.5
-    ready_length_m: float = 10.3
-    tubes: BoomTubes = BoomTubes()
-    ruddevators: Ruddevators = Ruddevators()
-    drive: BoomDrive = BoomDrive()
-    envelope: BoomEnvelope = BoomEnvelope()
-    nozzle: NozzleConfig = NozzleConfig()
 
 
 class TankerConfig(Struct, frozen=True, kw_only=True):
@@ -294,77 +207,6 @@ def landmarks(tanker: TankerConfig, vision: VisionConfig) -> tuple[MarkerConfig 
     return tanker.corners if vision.detector == "corners" else tanker.markers
 
 
-class FusionConfig(Struct, frozen=True, kw_only=True):
-    """GPS/vision blend of thesis eq. 3.9: all GPS beyond ``d1_m``, all vision within ``d2_m``.
-
-    A pose counts from ``min_markers`` markers: five in the thesis; here the vision itself says when it has a pose.
-    """
-
-    method: Literal["blend"] = "blend"
-    d1_m: float = 55.0
-    d2_m: float = 40.0
-    min_markers: int = 2
-    vision_stale_s: float = 0.3
-    own_stale_s: float = 0.3
-    tanker_stale_s: float = 1.0
-
-
-class LawWeights(Struct, frozen=True, kw_only=True):
-    """Diagonals of Q and R of the docking law (thesis eq. 3.11): errors, rates, integrals, then inputs."""
-
-    e_x: float = 1.0
-    e_y: float = 1.0
-    e_z: float = 1.0
-    v_x: float = 1.0
-    v_y: float = 1.0
-    v_z: float = 1.0
-    p: float = 0.0
-    q: float = 0.0
-    int_x: float = 0.05
-    int_y: float = 0.05
-    int_z: float = 0.05
-    roll: float = 60.0
-    pitch: float = 400.0
-    thrust: float = 2.0
-
-
-class VelocityGains(Struct, frozen=True, kw_only=True):
-    """Law ``velocity``: speed for an error of a metre, and for a metre second of its integral, along, right, down."""
-
-    position_per_s: Vec3 = (0.6, 0.8, 0.8)
-    integral_per_s2: Vec3 = (0.02, 0.02, 0.02)
-
-
-class GuidanceConfig(Struct, frozen=True, kw_only=True):
-    """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot.
-
-    ``disturbance_rad_s``: bandwidth of the observer of gusts, wake and trim errors, forward, right, down
-    (``companion.guidance.disturbance``).
-    """
-
-    law: Literal["attitude", "velocity", "surfaces"] = "attitude"
-    rate_hz: float = 50.0
-    weights: LawWeights = LawWeights()
-    velocity: VelocityGains = VelocityGains()
-    link_delay_s: float = 0.0
-    disturbance_rad_s: Vec3 = (2.0, 3.0, 3.0)
-    auto_engage: bool = False
-    path_duration_s: float = 50.0
-    join_settle_s: float = 3.0
-    join_tolerance_m: float = 2.5
-    off_path_m: float = 10.0
-    join_range_m: float = 150.0
-    max_closure_m_s: float = 2.0
-    estimate_stale_s: float = 0.3
-    breakaway_stale_s: float = 1.0
-    capture_s: float = 2.0
-    max_roll_rad: float = 0.35
-    max_pitch_offset_rad: float = 0.12
-    breakaway_descent_rad: float = 0.05
-    breakaway_thrust: float = 0.05
-    breakaway_separation_m: float = 60.0
-
-
 class LinksConfig(Struct, frozen=True, kw_only=True):
     """Where the other ends are. An empty ``datalink`` or ``camera`` means there is none.
 
@@ -442,6 +284,7 @@ class CompanionConfig(Struct, frozen=True, kw_only=True):
     links: LinksConfig = LinksConfig()
     vision: VisionConfig = VisionConfig()
     fusion: FusionConfig = FusionConfig()
+    integrity: IntegrityConfig = IntegrityConfig()
     guidance: GuidanceConfig = GuidanceConfig()
     recorder: RecorderConfig = RecorderConfig()
 

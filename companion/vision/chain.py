@@ -150,16 +150,19 @@ class VisionChain:
         verified = self.config.labeling.method == "robust" or self.mode is VisionMode.SIMULATED
         found = self._pose.measure(self.markers[used], uv[seen], sigma[seen], prior, verified=verified)
         if isinstance(found, tuple):
-            return self._output(sequence, detections, predicted, found)
+            return self._output(sequence, detections, predicted, found, labels)
         pose = PoseMeasurement(
             detections.t_ns, found.T_cam_tanker, labels, len(used), found.iterations, found.object_error_m,
             found.image_error, found.cov, found.alternative,
         )
-        return VisionOutput(detections.t_ns, sequence, detections, predicted, pose, None)
+        return VisionOutput(detections.t_ns, sequence, detections, predicted, labels, pose, None)
 
-    def _output(self, sequence: int, detections: Detections, predicted: Mat, refusal: Refusal) -> VisionOutput:
+    def _output(
+        self, sequence: int, detections: Detections, predicted: Mat, refusal: Refusal, labels: Ints | None = None
+    ) -> VisionOutput:
         reject = Reject(detections.t_ns, "vision", *refusal)
-        return VisionOutput(detections.t_ns, sequence, detections, predicted, None, reject)
+        labels = np.full(len(self.markers), -1) if labels is None else labels
+        return VisionOutput(detections.t_ns, sequence, detections, predicted, labels, None, reject)
 
     def _refused(
         self, frame: CameraFrame | MarkerFrame, reason: str, detail: str = "", predicted: Mat | None = None

@@ -118,7 +118,7 @@ def record(mode: Mode, seed: int, duration_s: float = DURATION_S) -> Recording:
     warm_up(setup)
     simulation, notes = Simulation(scenario, setup), Notes()
     companion = LockstepCompanion(setup, Unrecorded(), notes.output)
-    blend, step = companion.service.pipeline.blend, 0
+    fusion, step = companion.service.pipeline.fusion, 0
     while not notes.over(simulation.truth.t_ns, duration_s):
         if step % TRUTH_EVERY == 0:
             notes.truth[stamp_ms(simulation.truth.t_ns)] = simulation.truth
@@ -127,9 +127,10 @@ def record(mode: Mode, seed: int, duration_s: float = DURATION_S) -> Recording:
         except PlantError as error:
             msg = f"--seed {seed}: the plant failed ({error}); take another seed"
             raise ConfigError(msg) from None
-        if arrivals.frames:  # asked before the frame changes the blend: what the chain is about to be given
+        if arrivals.frames:  # asked before the frame changes the fusion: what the chain is about to be given
             exposed_ns = arrivals.frames[0].t_ns
-            prior = blend.prior(exposed_ns) if mode == "rv" else blend.gps_prior(exposed_ns)
+            known = fusion.prior(exposed_ns)
+            prior = fusion.gps_prior(exposed_ns) if mode == "sv" else None if known is None else known.T_cam_tanker
             if prior is not None:
                 notes.prior[stamp_ms(exposed_ns)] = prior
         companion.hear(simulation.feed_mavlink(companion.arrive(arrivals), arrivals.t_ns))

@@ -180,7 +180,7 @@ def camera_step(flight: Flight, t_ns: int, sequence: int) -> Iterator[tuple[str,
     predicted = project(flight.setup.camera, off, np.array([m.p_tanker_m for m in markers]))
     m = len(uv)
     detections = Detections(t_ns, uv, np.full(m, 12.0), np.full(m, 0.1), np.zeros(m, np.uint8))
-    yield "out", VisionOutput(t_ns, sequence, detections, predicted, pose, reject)
+    yield "out", VisionOutput(t_ns, sequence, detections, predicted, labels, pose, reject)
     yield "out", FusedPose(t_ns, T, T, weight(t), len(marker))
 
 

@@ -63,7 +63,7 @@ def test_pictures_stay_out_and_unseen_markers_are_null(flown: tuple[Path, dict])
     frame = next(r for r in rows if r["kind"] == "CameraFrame")
     assert frame == {"kind": "CameraFrame", "dir": "in", "t_ns": 0, "sequence": 0, "width_px": 640, "height_px": 480}
     nothing = Detections(1, np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, np.uint8))
-    vision = VisionOutput(1, 0, nothing, np.array([[1.5, np.nan]]), None, None)
+    vision = VisionOutput(1, 0, nothing, np.array([[1.5, np.nan]]), np.array([-1]), None, None)
     folder = flown[0] / "again"
     folder.mkdir()
     with RunRecorder(folder, synthetic_setup()) as recorder:

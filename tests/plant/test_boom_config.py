@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from companion.config import FIRMWARE_CONFIGS, BoomConfig, TankerConfig, load
-from companion.config.rules import boom_rules
+from companion.config.boom import boom_rules
 
 SHIPPED = load(FIRMWARE_CONFIGS / "tankers" / "kc135r.toml", TankerConfig).boom
 

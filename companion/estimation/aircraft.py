@@ -1,0 +1,119 @@
+"""Both aircraft at one instant, from what each tells of itself; every fusion begins here.
+
+Positions are only differenced at one instant (at 206 m/s one millisecond is 0.21 m): samples of attitude, position and
+velocity are kept in histories and brought to the instant that is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.config import FusionConfig
+from companion.estimation.alignment import Attitude, AttitudeHistory, Motion, MotionHistory
+from companion.geometry import SE3, Vec
+from companion.messages import NS, GpsStatus, OwnAttitude, OwnPosition, Reject, TankerState, TimeStep
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Both aircraft at one instant."""
+
+    t_ns: int
+    own: Motion
+    own_attitude: Attitude
+    tanker: Motion
+    tanker_attitude: Attitude
+
+    @property
+    def p_ned_gps_m(self) -> Vec:
+        """Return the receiver's centre of mass against the tanker's (3,) as their positions have it."""
+        return self.own.p_ned_m - self.tanker.p_ned_m
+
+    @property
+    def travel_difference_m(self) -> Vec:
+        """Return how far (3,) the receiver has moved against the tanker since the start, by velocity alone."""
+        return self.own.travel_m - self.tanker.travel_m
+
+
+class Aircraft:
+    """Histories of receiver and tanker. Events in; no clock."""
+
+    def __init__(self, config: FusionConfig, T_frd_cam: SE3) -> None:
+        self._config = config
+        self.T_frd_cam = T_frd_cam
+        self._T_cam_frd = T_frd_cam.inverse()
+        self.gps: GpsStatus | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every sample."""
+        self.own_motion = MotionHistory()
+        self.own_attitude = AttitudeHistory()
+        self.tanker_motion = MotionHistory()
+        self.tanker_attitude = AttitudeHistory()
+
+    def own_attitude_event(self, m: OwnAttitude) -> Reject | None:
+        """Take the receiver's attitude; a stamp that does not go forward is rejected."""
+        if self.own_attitude.append(m.t_ns, m.R_ned_frd, m.omega_frd_rad_s):
+            return None
+        return Reject(m.t_ns, "attitude", "time_not_forward")
+
+    def own_position_event(self, m: OwnPosition) -> Reject | None:
+        """Take the receiver's position and velocity; a stamp that does not go forward is rejected."""
+        if self.own_motion.append(m.t_ns, m.p_ned_m, m.v_ned_m_s):
+            return None
+        return Reject(m.t_ns, "position", "time_not_forward")
+
+    def tanker_event(self, m: TankerState) -> Reject | None:
+        """Take the tanker's state; a stamp that does not go forward is rejected."""
+        if not self.tanker_motion.append(m.t_ns, m.p_ned_m, m.v_ned_m_s):
+            return Reject(m.t_ns, "datalink", "time_not_forward")
+        self.tanker_attitude.append(m.t_ns, m.R_ned_tanker, m.omega_tanker_rad_s)
+        return None
+
+    def gps_event(self, m: GpsStatus) -> None:
+        """Take what the receiver's GPS says of itself."""
+        self.gps = m
+
+    def time_step_event(self, m: TimeStep) -> None:
+        """A clock has stepped: what was stamped before cannot be put beside what comes now."""
+        del m
+        self.restart()
+
+    @property
+    def attitude_ns(self) -> int | None:
+        """Return the stamp of the receiver's newest attitude."""
+        return self.own_attitude.newest_ns
+
+    @property
+    def position_ns(self) -> int | None:
+        """Return the stamp of the receiver's newest position."""
+        return self.own_motion.newest_ns
+
+    @property
+    def tanker_ns(self) -> int | None:
+        """Return the stamp of the tanker's newest state."""
+        return self.tanker_motion.newest_ns
+
+    def oldest_ns(self) -> int:
+        """Return the oldest of the newest samples: what an estimate rests on at best; 0 when a source has none."""
+        return min(self.position_ns or 0, self.attitude_ns or 0, self.tanker_ns or 0)
+
+    def align(self, t_ns: int) -> Aligned | None:
+        """Return both aircraft at one instant, or None when a source has nothing, or only stale samples, for it."""
+        own, own_attitude = self.own_motion.at(t_ns), self.own_attitude.at(t_ns)
+        tanker, tanker_attitude = self.tanker_motion.at(t_ns), self.tanker_attitude.at(t_ns)
+        if own is None or own_attitude is None or tanker is None or tanker_attitude is None:
+            return None
+        own_age_s = (t_ns - min(self.position_ns or 0, self.attitude_ns or 0)) * NS
+        if own_age_s > self._config.own_stale_s or (t_ns - (self.tanker_ns or 0)) * NS > self._config.tanker_stale_s:
+            return None
+        return Aligned(t_ns, own, own_attitude, tanker, tanker_attitude)
+
+    def T_cam_tanker(self, a: Aligned, p_ned_tanker_frd_m: Vec) -> SE3:
+        """Return the thesis' ^C T_T (Fig. 3.6) from INU angles and the relative position of the centres of mass."""
+        T_ned_frd = SE3(a.own_attitude.R_ned_body, p_ned_tanker_frd_m)
+        T_ned_tanker = SE3(a.tanker_attitude.R_ned_body, np.zeros(3))
+        return self._T_cam_frd @ T_ned_frd.inverse() @ T_ned_tanker
