@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from sim_bridge.plant.fdm import FT, LBF, ROOT, PlantError
+from sim_bridge.plant.fdm import FT, LBF, ROOT, PlantError, read_xml
 
 AIRCRAFT = ("ice101", "kc135r")
 LINE = re.compile(
@@ -59,18 +59,7 @@ class AircraftData:
 def read_aircraft(name: str, root: Path = ROOT) -> AircraftData:
     """Return the data of aircraft ``name``; raises PlantError, with the file's name, when they are not complete."""
     path = root / "aircraft" / name / f"{name}.xml"
-    try:
-        text = path.read_text(encoding="utf-8")
-        tree = ET.fromstring(text)
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror})"
-        raise PlantError(msg) from None
-    except UnicodeDecodeError as error:
-        msg = f"{path}: not UTF-8 (byte {error.start} is 0x{error.object[error.start]:02x}); save it as UTF-8"
-        raise PlantError(msg) from None
-    except ET.ParseError as error:
-        msg = f"{path}: not an XML file ({error})"
-        raise PlantError(msg) from None
+    text, tree = read_xml(path)
     area, span, chord = (_number(tree, path, f"metrics/{k}") for k in ("wingarea", "wingspan", "chord"))
     balance = ("emptywt", "ixx", "iyy", "izz", "ixz")
     mass, ixx, iyy, izz, ixz = (_number(tree, path, f"mass_balance/{k}") for k in balance)

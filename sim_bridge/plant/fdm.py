@@ -108,14 +108,7 @@ class Fdm:
         self.p_n = self.p_e = self.p_d = 0.0
 
     def _load(self, path: Path) -> None:
-        try:
-            used = properties_used(ET.parse(path).getroot())
-        except OSError as error:
-            msg = f"cannot load aircraft {self.model!r}: {path}: cannot be read ({error.strerror})"
-            raise PlantError(msg) from None
-        except ET.ParseError as error:
-            msg = f"cannot load aircraft {self.model!r}: {path}: not an XML file ({error})"
-            raise PlantError(msg) from None
+        used = properties_used(read_xml(path)[1])
         try:
             loaded = self._exec.load_planet(str(ROOT / "flat_earth.xml"), False) and self._exec.load_model(self.model)
         except (LogExceptionError, jsbsim.BaseError):  # XML without what JSBSim must have
@@ -287,6 +280,20 @@ class Fdm:
     def speed_of_sound_m_s(self) -> float:
         """Return the speed of sound at the aircraft."""
         return float(self._exec["atmosphere/a-fps"]) * FT
+
+
+def read_xml(path: Path) -> tuple[str, ET.Element]:
+    """Return the text and the root of an aircraft's file; raises PlantError that names it."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        return text, ET.fromstring(text)
+    except OSError as error:
+        msg = f"cannot load aircraft '{path.stem}': {path}: cannot be read ({error.strerror})"
+    except UnicodeDecodeError as error:
+        msg = f"cannot load aircraft '{path.stem}': {path}: not UTF-8 (byte {error.start} is 0x{error.object[error.start]:02x})"
+    except ET.ParseError as error:
+        msg = f"cannot load aircraft '{path.stem}': {path}: not an XML file ({error})"
+    raise PlantError(msg)
 
 
 def properties_used(file: ET.Element) -> list[str]:
