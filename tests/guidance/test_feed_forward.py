@@ -50,7 +50,7 @@ def test_rates_are_those_of_a_ramp(slope):
 def state(p_m, turn_rad_s, v_box, a_box, heading_rad):
     return RelativeState(
         0, 0, np.asarray(p_m, float), np.zeros(3), np.asarray(v_box, float), np.asarray(a_box, float), np.eye(3),
-        np.zeros(3), heading_rad, turn_rad_s, SE3.identity(), 20.0, 1.0, 9,
+        np.zeros(3), heading_rad, turn_rad_s, SE3.identity(), 20.0, 1.0, 9, np.zeros((3, 3)),
     )
 
 

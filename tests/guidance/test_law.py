@@ -40,7 +40,7 @@ def relative_state(e_m, v_m_s, pitch_rad, roll_rad, p_rad_s, q_rad_s, t_ns=0, ya
     return RelativeState(
         t_ns, t_ns, np.asarray(e_m, float), np.asarray(v_m_s, float), np.array([205.7, 0.0, 0.0]),
         np.zeros(3), rotation_from_euler(yaw_rad, pitch_rad, roll_rad), np.array([p_rad_s, q_rad_s, 0.0]), 0.0, 0.0,
-        SE3.identity(), 20.0, 1.0, 9,
+        SE3.identity(), 20.0, 1.0, 9, np.zeros((3, 3)),
     )
 
 

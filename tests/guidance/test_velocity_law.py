@@ -29,7 +29,7 @@ def state(e_m, v_ned, box_v, box_a, heading_rad=0.0, t_ns=0):
     R = rotation_from_euler(heading_rad, 0.0, 0.0)
     return RelativeState(
         t_ns, t_ns, R.T @ e_m, R.T @ (v_ned - box_v), box_v, box_a, np.eye(3), np.zeros(3), heading_rad, 0.0,
-        SE3.identity(), 20.0, 1.0, 9,
+        SE3.identity(), 20.0, 1.0, 9, np.zeros((3, 3)),
     )
 
 
