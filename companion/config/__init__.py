@@ -8,7 +8,7 @@ from companion.config.base import Rules, Struct, Vec3
 from companion.config.boom import BoomConfig
 from companion.config.errors import ConfigError
 from companion.config.estimation import FilterConfig, FusionConfig, IntegrityConfig
-from companion.config.guidance import GuidanceConfig
+from companion.config.guidance import GuardConfig, GuidanceConfig
 from companion.config.loading import assemble, load, load_setup
 from companion.config.structures import (
     FIRMWARE_CONFIGS,
@@ -42,6 +42,7 @@ __all__ = [
     "DetectionConfig",
     "FilterConfig",
     "FusionConfig",
+    "GuardConfig",
     "GuidanceConfig",
     "IntegrityConfig",
     "LabelingConfig",

@@ -36,13 +36,74 @@ class VelocityGains(Struct, frozen=True, kw_only=True):
     integral_per_s2: Vec3 = (0.02, 0.02, 0.02)
 
 
+class GuardConfig(Struct, frozen=True, kw_only=True):
+    """What every setpoint is held to, and when the receiver breaks away (``companion.guidance.guard``, ``causes``).
+
+    ``roll_rate_rad_s``, ``pitch_rate_rad_s``, ``thrust_rate_per_s``: how fast setpoints may change. Closing in:
+    ``closure_m_s`` within ``closure_range_m`` of the box, and beyond what ``braking_m_s2`` takes away until there; a
+    place to be at is at most ``offset_horizon_s`` of that farther in.
+
+    The age from which a source counts as lost: ``heartbeat_lost_s`` (1 Hz), ``sight_lost_s`` (more than three pictures
+    of 10 Hz in a row), ``datalink_stale_s``, ``attitude_stale_s``, ``position_stale_s``; ``estimate_lost_s``, and
+    ``estimate_lost_far_s`` before pre-contact. Integrity has to fail for ``integrity_failed_s``; protection levels
+    count within ``protection_range_m``. For ``lasting_s``: outside the limit window, closing in too fast, more than
+    ``off_path_m`` from the path (``off_path_near_m`` within ``closure_range_m``), banked beyond ``max_bank_rad``,
+    pitched off trim beyond ``max_pitch_off_trim_rad``; gusts and noise do that for moments.
+    """
+
+    roll_rate_rad_s: float = 1.0
+    pitch_rate_rad_s: float = 0.5
+    thrust_rate_per_s: float = 4.0
+    closure_m_s: float = 1.0
+    closure_range_m: float = 15.0
+    braking_m_s2: float = 0.3
+    offset_horizon_s: float = 4.0
+    heartbeat_lost_s: float = 3.0
+    sight_lost_s: float = 0.45
+    datalink_stale_s: float = 0.4
+    attitude_stale_s: float = 0.4
+    position_stale_s: float = 0.4
+    estimate_lost_s: float = 0.4
+    estimate_lost_far_s: float = 1.0
+    integrity_failed_s: float = 0.2
+    protection_range_m: float = 10.0
+    lasting_s: float = 0.2
+    off_path_m: float = 10.0
+    off_path_near_m: float = 5.0
+    max_bank_rad: float = 0.6
+    max_pitch_off_trim_rad: float = 0.25
+
+
 class GuidanceConfig(Struct, frozen=True, kw_only=True):
     """Path, law and phases. ``link_delay_s``: from a state's instant to its setpoint's arrival at the autopilot.
 
     ``disturbance_rad_s``: bandwidth of the observer of gusts, wake and trim errors, forward, right, down
     (``companion.guidance.disturbance``).
+
+    ``procedure``: a refuelling's phases with the operator's gates, or ``direct``, the thesis' one cubic of
+    ``path_duration_s`` from where the join ended to the box (``companion.guidance.modes``). ``auto_gates`` passes the
+    gates without an operator, as ``auto_engage`` engages. ``self_test``: see the autopilot follow a doublet first.
+    ``pre_contact_m``: BR of the pre-contact point in ``mrf``, held within ``stabilise_tolerance_m`` for
+    ``stabilise_s`` and with integrity for ``may_dock_s`` before the approach, which closes in with at most
+    ``approach_closure_m_s``, and ``contact_closure_m_s`` over its last ``contact_near_m``; ``closure_m_s2`` between
+    them. ``retreat_s`` without integrity's leave, no fault seen, and an approach goes back to the pre-contact point; so
+    it does when the box has not been held for ``capture_s`` within ``contact_timeout_s``.
     """
 
+    procedure: Literal["refuelling", "direct"] = "refuelling"
+    self_test: bool = True
+    auto_gates: bool = False
+    pre_contact_m: Vec3 = (-15.0, 0.0, 5.0)
+    observation_s: float = 3.0
+    stabilise_s: float = 3.0
+    stabilise_tolerance_m: float = 1.0
+    may_dock_s: float = 2.0
+    retreat_s: float = 0.1
+    approach_closure_m_s: float = 0.8
+    contact_closure_m_s: float = 0.25
+    contact_near_m: float = 3.0
+    closure_m_s2: float = 0.2
+    contact_timeout_s: float = 30.0
     law: Literal["attitude", "velocity", "surfaces"] = "attitude"
     rate_hz: float = 50.0
     weights: LawWeights = LawWeights()
@@ -64,6 +125,26 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     breakaway_descent_rad: float = 0.05
     breakaway_thrust: float = 0.05
     breakaway_separation_m: float = 60.0
+    breakaway_level_s: float = 20.0
+    guard: GuardConfig = GuardConfig()
+
+
+def guard_rules(g: GuardConfig) -> Rules:
+    """Return what has to hold of the guard."""
+    ages = ("heartbeat_lost_s", "sight_lost_s", "datalink_stale_s", "attitude_stale_s", "position_stale_s",
+            "estimate_lost_s", "estimate_lost_far_s")
+    more = ("roll_rate_rad_s", "pitch_rate_rad_s", "thrust_rate_per_s", "closure_m_s", "closure_range_m",
+            "braking_m_s2", "offset_horizon_s", "protection_range_m")
+    return [
+        *((0 < getattr(g, name) <= 10, f"guidance.guard.{name} must be in 0..10 seconds") for name in ages),
+        *((0 < getattr(g, name) < math.inf, f"guidance.guard.{name} must be positive") for name in more),
+        (min(g.integrity_failed_s, g.lasting_s) >= 0 and max(g.integrity_failed_s, g.lasting_s) <= 2,
+         "guidance.guard: integrity_failed_s and lasting_s must be in 0..2 seconds"),
+        (0 < g.off_path_near_m <= g.off_path_m,
+         "guidance.guard.off_path_near_m must be positive metres, at most off_path_m"),
+        (0 < g.max_bank_rad < math.pi / 2 and 0 < g.max_pitch_off_trim_rad < math.pi / 2,
+         "guidance.guard: max_bank_rad and max_pitch_off_trim_rad must be in 0..pi / 2 (radians, not degrees)"),
+    ]
 
 
 def guidance_rules(g: GuidanceConfig) -> Rules:
@@ -72,6 +153,16 @@ def guidance_rules(g: GuidanceConfig) -> Rules:
         (10 <= g.rate_hz <= 200, "guidance.rate_hz must be in 10..200 hertz"),
         (g.path_duration_s > 0, "guidance.path_duration_s must be positive seconds"),
         (g.max_closure_m_s > 0, "guidance.max_closure_m_s must be positive metres per second"),
+        (math.hypot(*g.pre_contact_m) > g.contact_near_m and g.pre_contact_m[0] < 0 <= g.pre_contact_m[2],
+         "guidance.pre_contact_m must be aft of the box and not above it, more than contact_near_m away (metres)"),
+        (min(g.join_settle_s, g.observation_s, g.stabilise_s, g.may_dock_s, g.retreat_s, g.capture_s) >= 0,
+         "guidance: join_settle_s, observation_s, stabilise_s, may_dock_s, retreat_s and capture_s must not be "
+         "negative seconds"),
+        (g.contact_timeout_s > g.capture_s, "guidance.contact_timeout_s must be more than capture_s, both in seconds"),
+        (min(g.stabilise_tolerance_m, g.contact_near_m, g.closure_m_s2) > 0,
+         "guidance: stabilise_tolerance_m, contact_near_m and closure_m_s2 must be positive"),
+        (0 < g.contact_closure_m_s <= g.approach_closure_m_s <= g.max_closure_m_s,
+         "guidance: contact_closure_m_s, approach_closure_m_s and max_closure_m_s must be positive, in rising order"),
         (min(g.join_range_m, g.off_path_m, g.breakaway_separation_m) > 0,
          "guidance: join_range_m, off_path_m and breakaway_separation_m must be positive metres"),
         (min(msgspec.structs.astuple(g.weights)) >= 0, "guidance.weights must not be negative"),
@@ -83,6 +174,8 @@ def guidance_rules(g: GuidanceConfig) -> Rules:
         (0 < g.max_roll_rad < math.pi / 2, "guidance.max_roll_rad must be in 0..pi / 2 (radians, not degrees)"),
         (0 < g.max_pitch_offset_rad < math.pi / 4,
          "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
+        *guard_rules(g.guard),
+        (g.breakaway_level_s > 0, "guidance.breakaway_level_s must be positive seconds"),
         (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
         (0 <= g.link_delay_s <= 1, "guidance.link_delay_s must be in 0..1 seconds"),
         (all(0 < w <= 20 for w in g.disturbance_rad_s),
