@@ -109,7 +109,7 @@ def flown_alone(root, what):
         (b'<property value="0"> wake/dCY </property>', b"", f"ice101.xml: property 'wake/dCY' {NONE_HAS}"),
         (b'<force name="boom"', b'<force name="bum"', "has no property 'external_reactions/boom/location-x-in'"),
         (b"<metrics>", b"<metrics", "ice101.xml: not an XML file ("),
-        (b"ICE reports", b"ICE r\xe9ports", "ice101.xml: not an XML file ("),
+        (b"ICE reports", b"ICE r\xe9ports", "ice101.xml: not UTF-8 ("),
         (b'<axis name="LIFT">', b'<axis name="UP">', "JSBSim cannot load aircraft 'ice101' from "),
         (b"</flight_control>", SYSTEM + b"</flight_control>", "JSBSim stopped aircraft 'ice101': FGPropertyValue::"),
     ],
