@@ -19,7 +19,9 @@ from companion import __version__
 from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, vision_options, with_vision_options
 from companion.config import CompanionConfig, ConfigError, Setup, assemble
 from companion.config import load as load_toml
-from companion.io.console import FlightConsole, result_table
+from companion.io.console import FlightConsole
+from companion.io.result_table import result_table
+from sim_bridge.faults import parse_fault
 from sim_bridge.flight import Flown, fly
 from sim_bridge.linearize import command as linearize
 from sim_bridge.plant.fdm import PlantError
@@ -71,10 +73,17 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+def _fault_option(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--fault", metavar="FAULT", action="append", default=[],
+                   help="let something fail, TARGET.KIND[=SIZE][@PHASE[+S] or @S][:S], e.g. camera.off@hold+5, or "
+                   "gps.wrong=50@40:10 for 10 s; may be given again")
+
+
 def _scenario(p: argparse.ArgumentParser) -> None:
     p.add_argument("scenario", nargs="?", default="docking", metavar="SCENARIO",
                    help="a scenario file or the name of a shipped one (default: docking)")
     p.add_argument("--seed", type=int, help="seed of gusts and sensors")
+    _fault_option(p)
 
 
 def _stick(p: argparse.ArgumentParser) -> None:
@@ -114,6 +123,8 @@ def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
             msg = f"--seed {a.seed}: must not be negative"
             raise ConfigError(msg)
         scenario = replace(scenario, seed=a.seed)
+    if a.fault:
+        scenario = replace(scenario, faults=(*scenario.faults, *map(parse_fault, a.fault)))
     if getattr(a, "detections", False):
         scenario = replace(scenario, vision_input="detections")
     if getattr(a, "stick", None) is not None:

@@ -27,7 +27,7 @@ from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
 from sim_bridge.scenario import Scenario
 from sim_bridge.scene.operator_view import operator_view
-from sim_bridge.scoring import refuelling, score
+from sim_bridge.scoring import Safety, refuelling, score
 from sim_bridge.simulation import TRUTH_EVERY, Arrivals, BoxTruth, Simulation, nominal_heading_rad
 from sim_bridge.truth import Truth
 from sim_bridge.truth_log import TruthLog
@@ -155,7 +155,13 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
         if watch is not None:
             watch(output)
 
-    box = BoxTruth(setup, nominal_heading_rad(scenario))
+    box, safety = BoxTruth(setup, nominal_heading_rad(scenario)), Safety(setup.tanker.window)
+
+    def see_truth(truth: Truth) -> None:
+        p_mrf_br_m = box.p_mrf_br_m(truth)
+        truth_log.append(truth, p_mrf_br_m)
+        safety.see(truth, p_mrf_br_m)
+
     view = operator_view(scenario.picture, scenario.seed)
     with RunRecorder(folder, setup) as recorder, TruthLog(folder, setup, operator=view) as truth_log:
         companion = LockstepCompanion(setup, recorder, see_output, scenario.link.setpoint_delay_s)
@@ -163,14 +169,15 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
         start_ns = time.perf_counter_ns()
         failure, interrupted = None, False
         try:
-            failure = run(simulation, companion, ending, lambda truth: truth_log.append(truth, box.p_mrf_br_m(truth)))
+            failure = run(simulation, companion, ending, see_truth)
         except KeyboardInterrupt:
             interrupted = True
         wall_ns = time.perf_counter_ns() - start_ns
         result = score(truth_log.series(), phases, setup.tanker.window, scenario)
         summary = recorder.write_summary(
             {
-                **result, **refuelling(simulation.world.boom), "seed": scenario.seed, "scenario": scenario.name,
+                **result, **safety.result(phases, simulation.fault_began_ns), **refuelling(simulation.world.boom),
+                "faults": [str(fault) for fault in scenario.faults], "seed": scenario.seed, "scenario": scenario.name,
                 "vision_input": scenario.vision_input, "plant_failure": failure,
                 "interrupted": interrupted, "flown_s": simulation.truth.t_ns * NS,
                 "real_time_factor": round(simulation.truth.t_ns / wall_ns, 2),
@@ -194,5 +201,6 @@ def run(
             return str(error)
         # Answers come at once, as over a wire without delay: the round trip of TIMESYNC is exact.
         companion.hear(simulation.feed_mavlink(companion.arrive(arrivals), arrivals.t_ns))
+        simulation.phase_entered(companion.service.phase, arrivals.t_ns)
         step += 1
     return None

@@ -17,7 +17,7 @@ from collections import deque
 import numpy as np
 
 from companion.config import ConfigError, Setup
-from companion.geometry import SE3
+from companion.geometry import SE3, Mat
 from companion.messages import Detections, MarkerFrame
 from companion.vision.camera import NEAREST_M, T_frd_cam, normalised_to_pixels
 from sim_bridge.sensor_conditions import MarkerSensorConditions
@@ -52,13 +52,13 @@ class MarkerCamera:
         self._sequence = 0
         self._under_way: deque[MarkerFrame] = deque()
 
-    def expose(self, truth: Truth) -> None:
-        """Look if it is time to."""
+    def expose(self, truth: Truth, lights: Mat | None = None) -> None:
+        """Look if it is time to; ``lights`` (n, 3), tanker axes: where they are when not where they belong."""
         if truth.t_ns < self._next_ns:
             return
         self._next_ns += self._period_ns
         T_cam_tanker = self._T_cam_frd @ truth.uav.T_ned_body().inverse() @ truth.tanker.T_ned_body()
-        self._under_way.append(MarkerFrame(truth.t_ns, self._sequence, self.detect(truth.t_ns, T_cam_tanker)))
+        self._under_way.append(MarkerFrame(truth.t_ns, self._sequence, self.detect(truth.t_ns, T_cam_tanker, lights)))
         self._sequence += 1
 
     def delivered(self, t_ns: int) -> list[MarkerFrame]:
@@ -68,10 +68,10 @@ class MarkerCamera:
             frames.append(self._under_way.popleft())
         return frames
 
-    def detect(self, t_ns: int, T_cam_tanker: SE3) -> Detections:
+    def detect(self, t_ns: int, T_cam_tanker: SE3, lights: Mat | None = None) -> Detections:
         """Return the markers that are seen from there; draws the same share of chance whatever is seen."""
         n, sigma_px = len(self._markers), self._conditions.sigma_px
-        p_cam_m = T_cam_tanker.transform(self._markers)
+        p_cam_m = T_cam_tanker.transform(self._markers if lights is None else lights)
         depth_m = np.where(p_cam_m[:, 2] > NEAREST_M, p_cam_m[:, 2], np.nan)
         uv_px = normalised_to_pixels(self._camera, p_cam_m[:, :2] / depth_m[:, None])
         uv_px += sigma_px * self._rng.standard_normal((n, 2))

@@ -19,6 +19,7 @@ import msgspec
 
 from companion.config import ConfigError, Setup, Struct, Vec3, load, load_setup
 from companion.messages import Command
+from sim_bridge.faults import Fault, fault_rules
 from sim_bridge.plant.conditions import PlantConditions, plant_rules
 from sim_bridge.scene.conditions import PictureConditions, condition_rules
 from sim_bridge.sensor_conditions import SensorConditions, sensor_rules
@@ -69,7 +70,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     receiver stays in the window, ``timeout_s`` when the flight ends whatever happens. ``picture``: light and clutter;
     ``plant``: wind, the tanker's course, the boom, errors of the airframe's data. ``sensors``: outages and biases
     of GPS, drift of the INS. ``vision_input``: what the camera hands over, pictures or, quicker by far, detections of
-    ``sensors.markers`` (``sim_bridge.marker_sensor``; lockstep only).
+    ``sensors.markers`` (``sim_bridge.marker_sensor``; lockstep only). ``faults``: what fails, and when.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     plant: PlantConditions = PlantConditions()
     vision_input: Literal["pictures", "detections"] = "pictures"
     sensors: SensorConditions = SensorConditions()
+    faults: tuple[Fault, ...] = ()
 
     def setup(self) -> Setup:
         """Load the companion configuration and what it names."""
@@ -148,6 +150,7 @@ def check(s: Scenario, path: Path) -> None:
         *condition_rules(s.picture),
         *plant_rules(s.plant),
         *sensor_rules(s.sensors),
+        *fault_rules(s.faults),
     ]
     for holds, text in rules:
         if not holds:

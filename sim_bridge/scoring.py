@@ -6,6 +6,9 @@ Rules
   once the last time counts, because a flight ends with it. It is cut short by leaving HOLD and by the end of the truth.
 * Docked: the whole hold was flown, at least the asked share of it inside the desired window, never outside the limit.
 * What was not measured is None: without a hold there is no mean of BR. The share inside the window is 0.0 then.
+* Safety is scored over the whole flight (``Safety``). In contact and hold the receptacle has to be in the limit box
+  below the tanker; in every other phase, breakaway too, it may be aft of it, below it or beside it, but never forward
+  of it or above it. A collision is a centre of mass in the space of the tanker.
 """
 
 from __future__ import annotations
@@ -17,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import WindowConfig
-from companion.geometry import Mat
+from companion.geometry import Mat, Vec
 from companion.messages import NS, Phase, PhaseChange
 from sim_bridge.plant.boom import Boom
-from sim_bridge.scenario import Scenario
+from sim_bridge.scenario import TANKER_SPACE_M, Scenario
+from sim_bridge.truth import Truth
 
 Series = tuple[NDArray[np.int64], Mat]
 """t_ns (n,) and BR (n, 3) in m, from box B to receptacle R in ``mrf``."""
@@ -54,6 +58,53 @@ def score(series: Series, phases: Sequence[PhaseChange], window: WindowConfig, s
         **statistics(hold),
         "breakaway": broke[0] if broke else None,
     }
+
+
+class Safety:
+    """Watches one flight, and tells afterwards whether it was safe all the time."""
+
+    def __init__(self, window: WindowConfig) -> None:
+        self._limit_m = np.array(window.limit_m)
+        self._t_ns: list[int] = []
+        self._br: list[Vec] = []
+        self._p_tanker_m: list[Vec] = []
+
+    def see(self, truth: Truth, p_mrf_br_m: Vec) -> None:
+        """Take the truth of one instant, and BR (3,) with it; 50 Hz is enough."""
+        self._t_ns.append(truth.t_ns)
+        self._br.append(np.array(p_mrf_br_m))
+        self._p_tanker_m.append(truth.tanker.R_ned_body.T @ (truth.uav.p_ned_m - truth.tanker.p_ned_m))
+
+    def result(self, phases: Sequence[PhaseChange], fault_ns: int | None = None) -> dict[str, Any]:
+        """Return what ``summary.json`` says of safety.
+
+        ``collision``; ``closest_m`` least distance of the receiver's centre of mass from the space of the tanker
+        (``TANKER_SPACE_M``, 0 in a collision); ``outside_limit_m`` how far the receptacle was where it may not be, at
+        most (0: never); ``breakaway_delay_s`` from ``fault_ns`` to the first breakaway after it, None without either.
+        """
+        if not self._t_ns:
+            return dict.fromkeys(("collision", "closest_m", "outside_limit_m", "breakaway_delay_s"))
+        low, high = np.array(TANKER_SPACE_M).T
+        p = np.array(self._p_tanker_m)
+        away_m = np.linalg.norm(np.maximum(np.maximum(low - p, p - high), 0.0), axis=1)
+        broke = [c.t_ns for c in phases if c.new is Phase.BREAKAWAY and fault_ns is not None and c.t_ns >= fault_ns]
+        return {
+            "collision": bool((away_m == 0.0).any()),
+            "closest_m": round(float(away_m.min()), 3),
+            "outside_limit_m": round(float(self._outside_m(phases).max()), 3),
+            "breakaway_delay_s": round((broke[0] - fault_ns) * NS, 3) if broke and fault_ns is not None else None,
+        }
+
+    def _outside_m(self, phases: Sequence[PhaseChange]) -> Vec:
+        """Return how far (n,) BR is where it may not be."""
+        br, t_ns = np.array(self._br), np.array(self._t_ns)
+        forward_or_above = np.maximum(br[:, 0] - self._limit_m[0], -br[:, 2] - self._limit_m[2])
+        outside_box = (np.abs(br) - self._limit_m).max(axis=1)
+        boxed = np.zeros(len(br), dtype=bool)
+        for change, end_ns in zip(phases, [*(c.t_ns for c in phases[1:]), t_ns[-1] + 1], strict=True):
+            if change.new in (Phase.CONTACT, Phase.HOLD):
+                boxed |= (t_ns >= change.t_ns) & (t_ns < end_ns)
+        return np.maximum(np.where(boxed, outside_box, forward_or_above), 0.0)
 
 
 def refuelling(boom: Boom) -> dict[str, Any]:

@@ -13,15 +13,17 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import Setup
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.io.datalink import encode_frame
-from companion.messages import CameraFrame, Command, MarkerFrame, TankerState
+from companion.messages import CameraFrame, Command, MarkerFrame, Phase, TankerState
 from sim_bridge.autopilot import StandInAutopilot, TankerReporter
 from sim_bridge.datalink import SerialPacer
+from sim_bridge.fault_injection import Faults
 from sim_bridge.marker_sensor import MarkerCamera
 from sim_bridge.operator import ScheduledOperator
 from sim_bridge.plant.fdm import PlantError
@@ -75,12 +77,12 @@ class Camera:
         self._executor, self._waits = executor or ThreadPoolExecutor(1), executor is None
         self._under_way: deque[tuple[int, int, Future[NDArray[np.uint8]]]] = deque()
 
-    def expose(self, truth: Truth) -> None:
-        """Take a picture if one is due."""
+    def expose(self, truth: Truth, lights: Mat | None = None) -> None:
+        """Take a picture if one is due; ``lights`` (n, 3), tanker axes: where they are when not where they belong."""
         if truth.t_ns < self._next_ns:
             return
         self._next_ns += self._period_ns
-        picture = self._executor.submit(self._picture.expose, truth.tanker, truth.uav, truth.boom)
+        picture = self._executor.submit(self._picture.expose, truth.tanker, truth.uav, truth.boom, lights)
         self._under_way.append((truth.t_ns, self._sequence, picture))
         self._sequence += 1
 
@@ -104,15 +106,17 @@ class Simulation:
     ) -> None:
         """Put everything at its start; ``serial`` and ``executor`` are what the wall clock needs (see ``serve``)."""
         # One stream of chance for each thing that draws, so that a change in one leaves the others as they were.
-        seeds = np.random.SeedSequence(scenario.seed).spawn(5)
+        *seeds, fault_seeds = np.random.SeedSequence(scenario.seed).spawn(6)
         gust, own, tanker, camera, satellites = (np.random.default_rng(s) for s in seeds)
+        self._faults = Faults(scenario.faults, setup, fault_seeds)
         self.world = World(
             setup.tanker, setup.airframe, np.array(scenario.start_tanker_m), scenario.turbulence, scenario.wake, gust,
             scenario.heading_rad, conditions=scenario.plant,
         )
         sensors = scenario.sensors
         common = GpsBias(sensors.common_gps, satellites) if sensors.common_gps != GpsErrors() else None
-        self.autopilot = StandInAutopilot(setup.airframe, own, sensors=sensors.receiver, common_gps=common)
+        self.autopilot = StandInAutopilot(setup.airframe, own, sensors=sensors.receiver, common_gps=common,
+                                        gps_fault=self._faults.fix)
         self._reporter = TankerReporter(tanker, scenario.datalink.report_rate_hz, sensors.tanker, common)
         self._origin_altitude_m = setup.config.links.origin_altitude_m
         self._serial: SerialLine = serial or SerialPacer(scenario.datalink.rate_baud)
@@ -127,12 +131,22 @@ class Simulation:
         """Return the truth of the present instant."""
         return self.world.truth
 
+    @property
+    def fault_began_ns(self) -> int | None:
+        """Return when the first of the scenario's faults begins, once that is known; None without any."""
+        return self._faults.began_ns
+
+    def phase_entered(self, phase: Phase, t_ns: int) -> None:
+        """Take note of the companion's phase, which faults begin with; over wires it is read from its STATUSTEXT."""
+        self._faults.phase_entered(phase, t_ns)
+
     def feed_mavlink(self, data: bytes, t_ns: int) -> bytes:
         """Give the autopilot bytes that reach it at ``t_ns``; return what it answers at once."""
         if not data:
             return b""
+        self._faults.overhear(data, t_ns)
         self.autopilot.feed(data, t_ns)
-        return self.autopilot.outgoing(t_ns)
+        return self._faults.mavlink(self.autopilot.outgoing(t_ns), t_ns)
 
     def step(self) -> Arrivals:
         """Run one step; return what arrives at the companion at its instant."""
@@ -140,17 +154,23 @@ class Simulation:
         t_ns = truth.t_ns
         effectors = self.autopilot.step(truth.uav)
         state = self._reporter.step(truth.tanker)
-        if state is not None:
-            self._serial.write(self._report(state), t_ns)
-        self._camera.expose(truth)
-        mavlink = self.autopilot.outgoing(t_ns)
+        for frame in self._faults.datalink(None if state is None else self._report(state), t_ns):
+            self._serial.write(frame, t_ns)
+        self._camera.expose(self._seen_from(truth), self._faults.lights(t_ns))
+        mavlink = self._faults.mavlink(self.autopilot.outgoing(t_ns), t_ns)
         for command in self._operator.due(t_ns):
             mavlink += self._operator.frame(command)
             if command is Command.BREAKAWAY:  # the whole formation hears it on the radio
                 self.world.boom.disconnect("breakaway called")
-        arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), self._camera.delivered(t_ns))
+        frames = self._faults.frames(self._camera.delivered(t_ns), t_ns)
+        arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), frames)
         self.world.step(effectors)
         return arrivals
+
+    def _seen_from(self, truth: Truth) -> Truth:
+        """Return the truth as the camera has it, which may have turned on its mount."""
+        uav = self._faults.camera_body(truth.uav)
+        return truth if uav is truth.uav else msgspec.structs.replace(truth, uav=uav)
 
     def _report(self, state: TankerState) -> bytes:
         """Return the frame of the tanker's report; a tanker that no frame can tell of any more is a failed plant."""

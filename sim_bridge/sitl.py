@@ -22,7 +22,7 @@ from companion.messages import NS, Phase, PhaseChange
 from sim_bridge.flight import BREAKAWAY_WATCH_S, Flown
 from sim_bridge.scenario import Scenario
 from sim_bridge.scene.operator_view import operator_view
-from sim_bridge.scoring import score
+from sim_bridge.scoring import Safety, score
 from sim_bridge.serve import Served, serve
 from sim_bridge.simulation import BoxTruth, nominal_heading_rad
 from sim_bridge.truth import Truth
@@ -89,7 +89,8 @@ def fly_sitl(scenario: Scenario, setup: Setup, stick_url: str | None = None) -> 
     folder, truth_log = flight.recording
     if not served.interrupted:
         flight.check()
-    result = score(truth_log.series(), recorded_phases(folder), setup.tanker.window, scenario)
+    phases = recorded_phases(folder)
+    result = score(truth_log.series(), phases, setup.tanker.window, scenario) | flight.safety.result(phases)
     return Flown(folder, _write_summary(folder, scenario, served, result))
 
 
@@ -99,6 +100,7 @@ class _SitlFlight:
     def __init__(self, scenario: Scenario, setup: Setup) -> None:
         self._scenario, self._setup = scenario, setup
         self._box = BoxTruth(setup, nominal_heading_rad(scenario))
+        self.safety = Safety(setup.tanker.window)
         self._companion: CompanionProcess | None = None
         self._recording: tuple[Path, TruthLog] | None = None
         self._started_s = 0.0
@@ -128,7 +130,9 @@ class _SitlFlight:
     def see(self, truth: Truth) -> None:
         """Record the truth on the companion's clock."""
         self._flown_s = truth.t_ns * NS
-        self.recording[1].append(msgspec.structs.replace(truth, t_ns=time.monotonic_ns()), self._box.p_mrf_br_m(truth))
+        stamped, p_mrf_br_m = msgspec.structs.replace(truth, t_ns=time.monotonic_ns()), self._box.p_mrf_br_m(truth)
+        self.recording[1].append(stamped, p_mrf_br_m)
+        self.safety.see(stamped, p_mrf_br_m)
 
     def stop(self) -> bool:
         """Tell whether the companion has ended, or time is up: simulated time, or that to start in."""
@@ -176,7 +180,8 @@ def _write_summary(folder: Path, scenario: Scenario, served: Served, result: dic
     path = folder / "summary.json"
     own = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     summary = {
-        **own, **result, **served.refuelling, "seed": scenario.seed, "scenario": scenario.name,
+        **own, **result, **served.refuelling, "faults": [str(fault) for fault in scenario.faults],
+        "seed": scenario.seed, "scenario": scenario.name,
         "late_steps": served.late_steps, "flown_s": served.flown_s, "plant_failure": served.plant_failure,
         "interrupted": served.interrupted,
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from sim_bridge.truth import BodyState
 
 THESIS_SENSORS = AircraftSensors()
 
+GpsFault = Callable[[GpsFix | None, int], GpsFix | None]
+
 HAND_OVER_S = 0.5
 """Time constant with which the last commands of one law go over into those of the other."""
 
@@ -31,12 +34,15 @@ class Navigation:
     """Sensors of one aircraft and the position that follows from them."""
 
     def __init__(
-        self, rng: np.random.Generator, conditions: AircraftSensors = THESIS_SENSORS, common_gps: GpsBias | None = None
+        self, rng: np.random.Generator, conditions: AircraftSensors = THESIS_SENSORS, common_gps: GpsBias | None = None,
+        gps_fault: GpsFault | None = None,
     ) -> None:
         """Split the generator, so that inertial noise does not depend on how often GPS draws.
 
-        ``common_gps``: what GPS errs by for both aircraft, one and the same process.
+        ``common_gps``: what GPS errs by for both aircraft, one and the same process; ``gps_fault`` gives the fix that
+        arrives, if any, for the one that is delivered, if any, at an instant in ns.
         """
+        self._gps_fault = gps_fault
         inertial, gps, bias = rng.spawn(3)
         biases = [GpsBias(conditions.gps, bias)] if conditions.gps != GpsErrors() else []
         self._inertial = InertialSensor(inertial, conditions.ins)
@@ -46,6 +52,8 @@ class Navigation:
     def measure(self, truth: BodyState) -> tuple[InertialSample, Triple | None, GpsFix | None]:
         """Return the inertial sample, the position at its instant (None before the first fix), and a new fix."""
         sample, fix = self._inertial.sample(truth, self._gps.out(truth.t_ns)), self._gps.sample(truth)
+        if self._gps_fault is not None:
+            fix = self._gps_fault(fix, truth.t_ns)
         return sample, self._reckoner.update(sample, fix), fix
 
 
@@ -80,11 +88,11 @@ class StandInAutopilot:
 
     def __init__(
         self, airframe: AirframeConfig, rng: np.random.Generator, *, dt_s: float = 0.005, origin: Origin | None = None,
-        sensors: AircraftSensors = THESIS_SENSORS, common_gps: GpsBias | None = None,
+        sensors: AircraftSensors = THESIS_SENSORS, common_gps: GpsBias | None = None, gps_fault: GpsFault | None = None,
     ) -> None:
         """Build the autopilot of ``airframe``; ``rng`` is for its sensors alone."""
         self.vehicle = Vehicle(airframe, dt_s=dt_s, origin=origin)
-        self._navigation = Navigation(rng, sensors, common_gps)
+        self._navigation = Navigation(rng, sensors, common_gps, gps_fault)
         self._loops = InnerLoops(airframe, dt_s)
         self._regulator = SurfaceRegulator(airframe, dt_s)
         self._hand_over = HandOver(math.exp(-dt_s / HAND_OVER_S))

@@ -84,12 +84,17 @@ class CameraPicture:
         """Return the picture (h, w, 3) uint8 RGB of the tanker from the receiver's camera, all standing still."""
         return self._take([(T_ned_tanker, T_ned_frd @ self._T_frd_cam)], boom)
 
-    def expose(self, tanker: BodyState, uav: BodyState, boom: BoomState) -> NDArray[np.uint8]:
-        """Return the picture (h, w, 3) uint8 RGB that is exposed about the instant of these states."""
-        return self._take(self._shutter.poses(tanker, uav), boom)
+    def expose(
+        self, tanker: BodyState, uav: BodyState, boom: BoomState, markers: Mat | None = None
+    ) -> NDArray[np.uint8]:
+        """Return the picture (h, w, 3) uint8 RGB that is exposed about the instant of these states.
 
-    def _take(self, instants: list[Instant], boom: BoomState) -> NDArray[np.uint8]:
-        drawn = [self._draw(instant, boom) for instant in instants]
+        ``markers`` (n, 3), tanker axes: where they are when they are not where the map has them.
+        """
+        return self._take(self._shutter.poses(tanker, uav), boom, markers)
+
+    def _take(self, instants: list[Instant], boom: BoomState, markers: Mat | None = None) -> NDArray[np.uint8]:
+        drawn = [self._draw(instant, boom, markers) for instant in instants]
         picture = drawn[0][0] if len(drawn) == 1 else mean_picture([d[0] for d in drawn])
         if self._pinhole.maps is not None:
             picture = cv2.remap(picture, *self._pinhole.maps, cv2.INTER_LINEAR)
@@ -102,12 +107,13 @@ class CameraPicture:
         exposed[self._hot[:, 0], self._hot[:, 1], 0] = 255
         return exposed
 
-    def _draw(self, instant: Instant, boom: BoomState) -> tuple[
+    def _draw(self, instant: Instant, boom: BoomState, markers: Mat | None = None) -> tuple[
             NDArray[np.uint8], Spheres, NDArray[np.uint8], float]:
         """Return one instant: airframe, boom and sky, the lights and which of their samples show, the sun's share."""
         T_ned_tanker, T_ned_cam = instant
         T_cam_tanker = T_ned_cam.inverse() @ T_ned_tanker
-        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(self._places), self._radii)
+        places = self._places if markers is None else np.concatenate([self._places[: -len(markers)], markers])
+        spheres = self._pinhole.place_spheres(T_cam_tanker.transform(places), self._radii)
         mask = np.zeros(spheres.samples, np.uint8)
         picture = self._canvas.draw(tanker_poses(T_ned_tanker, boom), T_ned_cam, spheres, mask)
         share = 0.0
