@@ -2,12 +2,13 @@
 
 ========================= ==========================================================================================
 ``events.jsonl``          one message per line: ``kind``, ``dir`` (in, out), then the message's fields; arrays as
-                          lists, NaN as null, floats in full; of a picture only sequence and size
+                          lists, NaN and infinity as null, floats in full; of a picture only sequence and size, of
+                          a FilterState ``x`` and ``sigma`` (its covariance would be 256 numbers 20 times a second)
 ``telemetry.tlog``        raw MAVLink frames, each behind its instant in us as big-endian uint64
 ``flight.rrd``            the same for eyes (``companion.io.rerun_log``)
 ``config.toml``           the effective configuration with its files: what ``load(path, Setup)`` reads back
 ``versions.json``         Python, packages, platform, revision
-``summary.json``          the result
+``summary.json``          the result (``companion.io.tally``, and what the driver adds)
 ========================= ==========================================================================================
 
 Rules
@@ -25,7 +26,6 @@ import re
 import subprocess
 import time
 from array import array
-from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
@@ -39,7 +39,8 @@ import tomli_w
 
 from companion.config import ConfigError, Setup
 from companion.io.rerun_log import RerunLog
-from companion.messages import CameraFrame, Event, MarkerFrame, Output, PhaseChange, Reject, Setpoint, VisionOutput
+from companion.io.tally import Tally
+from companion.messages import CameraFrame, Event, FilterState, Output
 
 FLUSH_S = 0.2
 CHUNK_BYTES = 1 << 16
@@ -123,8 +124,7 @@ def newest_run(out: Path | str) -> Path:
 class RunRecorder:
     """``companion.ports.Recorder`` on a run folder; also a context manager.
 
-    ``t0_ns`` is where the Rerun timeline ``sim_time`` has its zero; ``versions.json`` keeps it. Rejects are counted as
-    outputs: whatever rejects come in, the pipeline passes on.
+    ``t0_ns`` is where the Rerun timeline ``sim_time`` has its zero; ``versions.json`` keeps it.
     """
 
     def __init__(self, folder: Path, setup: Setup, *, t0_ns: int = 0) -> None:
@@ -133,11 +133,7 @@ class RunRecorder:
         self._encode = msgspec.json.Encoder(enc_hook=_plain).encode
         self._heads: dict[tuple[str, str], bytes] = {}
         self._latency: dict[str, array[int]] = {}
-        self.rejects: Counter[str] = Counter()
-        self.frames = 0
-        self.frames_with_pose = 0
-        self.setpoints = 0
-        self.phases: list[PhaseChange] = []
+        self._tally = Tally(t0_ns)
         self._closed = False
         try:
             self._write_headers({**versions(), "t0_ns": t0_ns})
@@ -155,29 +151,22 @@ class RunRecorder:
 
     def event(self, event: Event) -> None:
         """Record an input."""
+        self._tally.event(event)
         if isinstance(event, CameraFrame):
-            self.frames += 1
             height, width = event.image.shape[:2]
             size = {"t_ns": event.t_ns, "sequence": event.sequence, "width_px": width, "height_px": height}
             self._append("CameraFrame", "in", size)
         else:
-            self.frames += isinstance(event, MarkerFrame)
             self._append(type(event).__name__, "in", event)
         self._rerun.event(event)
 
     def output(self, output: Output) -> None:
         """Record an output."""
-        if isinstance(output, VisionOutput):
-            self.frames_with_pose += output.pose is not None
-            if output.reject is not None:
-                self._count(output.reject)
-        elif isinstance(output, Reject):
-            self._count(output)
-        elif isinstance(output, Setpoint):
-            self.setpoints += 1
-        elif isinstance(output, PhaseChange):
-            self.phases.append(output)
-        self._append(type(output).__name__, "out", output)
+        self._tally.output(output)
+        what: Any = output
+        if isinstance(output, FilterState):
+            what = {"t_ns": output.t_ns, "x": output.x, "sigma": output.sigma}
+        self._append(type(output).__name__, "out", what)
         self._rerun.output(output)
 
     def mavlink(self, t_ns: int, data: bytes) -> None:
@@ -198,9 +187,6 @@ class RunRecorder:
             head = self._heads[kind, direction] = b'{"kind":"%b","dir":"%b",' % (kind.encode(), direction.encode())
         self._events.append(head + self._encode(message)[1:] + b"\n")
 
-    def _count(self, reject: Reject) -> None:
-        self.rejects[f"{reject.source}.{reject.reason}"] += 1
-
     def latency_ms(self) -> dict[str, dict[str, float]]:
         """Return {stage: {p50, p99, max}} in milliseconds."""
         return {stage: quantiles_ms(durations) for stage, durations in sorted(self._latency.items())}
@@ -209,10 +195,7 @@ class RunRecorder:
         """Return the part of ``summary.json`` that the companion itself knows."""
         config = self.setup.config
         return {
-            "frames": self.frames,
-            "frames_with_pose": self.frames_with_pose,
-            "setpoints": self.setpoints,
-            "rejects": dict(sorted(self.rejects.items())),
+            **self._tally.figures(),
             "latency_ms": self.latency_ms(),
             "law": config.guidance.law,
             "pose_solver": config.vision.solver,

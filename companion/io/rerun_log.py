@@ -6,7 +6,7 @@ Rules
   behind, pictures are dropped first, then the rest; both are counted.
 * Of the pictures ``recorder.image_rate_hz`` are kept, with the detections of just those frames, so that points and
   picture always belong together.
-* A message kind is one row of ``_DRAWERS``.
+* A message kind is one row of ``_DRAWERS``, or of those of ``rerun_trust``.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from companion.io.rerun_scene import (
     draw_plot_lines,
     draw_setup,
 )
+from companion.io.rerun_trust import DRAWERS as TRUST_DRAWERS
+from companion.io.rerun_trust import TrustDrawer
 from companion.messages import (
     AttitudeSetpoint,
     CameraFrame,
@@ -60,9 +62,14 @@ REJECT_PAUSE_NS = 1_000_000_000
 
 PHASE_COLOURS = {
     Phase.STANDBY: (120, 120, 120),
+    Phase.SELF_TEST: (150, 110, 190),
     Phase.JOIN: (90, 140, 220),
+    Phase.OBSERVATION: (70, 170, 215),
+    Phase.PRE_CONTACT: (60, 185, 175),
     Phase.APPROACH: (220, 180, 70),
+    Phase.CONTACT: (225, 140, 60),
     Phase.HOLD: (80, 180, 110),
+    Phase.DISCONNECT: (150, 160, 90),
     Phase.BREAKAWAY: (220, 70, 60),
 }
 
@@ -150,6 +157,7 @@ class _Draw:
 
     def __init__(self, path: Path, setup: Setup, t0_ns: int, recording_id: str) -> None:
         self.scene = SceneStream(path, setup, t0_ns, recording_id)
+        self._trust = TrustDrawer(self.scene)
         self._setup = setup
         self._camera = T_frd_cam(setup.camera)
         self._path: deque[Mat] = deque(maxlen=PATH_POINTS)
@@ -167,6 +175,9 @@ class _Draw:
         for kind, drawer in _DRAWERS.items():
             if kind in batch:
                 drawer(self, batch[kind])
+        for kind, trust_drawer in TRUST_DRAWERS.items():
+            if kind in batch:
+                trust_drawer(self._trust, batch[kind])
 
     def pictures(self, frames: list[CameraFrame]) -> None:
         """Draw the camera's pictures as JPEG."""
@@ -231,7 +242,7 @@ class _Draw:
             self.scene.columns("world/flown", self.scene.times(times), columns)
 
     def fused(self, poses: list[FusedPose]) -> None:
-        """Draw weight and marker count of the blend."""
+        """Draw how much of the estimate is vision, and on how many markers it rests."""
         t_ns = [p.t_ns for p in poses]
         self.scene.scalars("plots/fusion/vision_weight", t_ns, [p.vision_weight for p in poses])
         self.scene.scalars("plots/fusion/markers", t_ns, [p.markers_used for p in poses])
@@ -296,10 +307,9 @@ _DRAWERS: dict[type, Callable[[_Draw, list[Any]], None]] = {
 def detection_labels(output: VisionOutput, setup: Setup) -> list[str]:
     """Return for each detection the id of the marker it was labelled as, or an empty string."""
     labels = [""] * len(output.detections.uv_px)
-    if output.pose is not None:
-        for marker, index in zip(landmarks(setup.tanker, setup.config.vision), output.pose.labels, strict=True):
-            if index >= 0:
-                labels[index] = str(marker.id)
+    for marker, index in zip(landmarks(setup.tanker, setup.config.vision), output.labels, strict=True):
+        if index >= 0:
+            labels[index] = str(marker.id)
     return labels
 
 

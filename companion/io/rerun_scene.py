@@ -5,7 +5,7 @@ Rules
 * ``world`` has the axes of ``mrf`` (forward, right, down) and its origin at the tanker's centre of mass, because at
   200 m/s nothing that stands still can be looked at.
 * Timelines: ``sim_time``, a message's ``t_ns`` from the recording's zero on, and ``frame``, the camera's sequence.
-* Only the three files ``rerun_*`` use rerun.
+* Only the files ``rerun_*`` use rerun.
 """
 
 from __future__ import annotations

@@ -25,7 +25,17 @@ SETTLE_S = 2.0
 
 
 def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
-    """Return the layout: scene and picture above, BR against the window below, phase and log at the foot."""
+    """Return the layout: a page of the flight, and one of what the estimate is worth."""
+    return rrb.Blueprint(
+        rrb.Tabs(flight_page(window), trust_page(), active_tab=0),
+        rrb.TimePanel(state=rrb.components.PanelState.Collapsed, timeline="sim_time"),
+        rrb.BlueprintPanel(state=rrb.components.PanelState.Hidden),
+        rrb.SelectionPanel(state=rrb.components.PanelState.Hidden),
+    )
+
+
+def flight_page(window: WindowConfig) -> rrb.Container:
+    """Return scene and picture above, BR against the window below, phase and log at the foot."""
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=(-64.0, 38.0, 2.0), look_target=(-23.0, -1.0, 8.5), eye_up=(0.0, 0.0, -1.0)
     )
@@ -39,15 +49,12 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
     )
     camera = rrb.Spatial2DView(origin="world/uav/camera", contents="world/uav/camera/image/**", name="Camera")
     operator = rrb.Spatial2DView(origin="operator/camera", name="Boom operator")
-    whole = rrb.TimeAxis(
-        view_range=rrb.TimeRange(rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite())
-    )
     br = [
         rrb.TimeSeriesView(
             origin=f"plots/br/{axis}",
             name=f"BR {axis} ({what}), m: ±{desired_m:.2f} desired, ±{limit_m:.2f} limit",
             axis_y=rrb.ScalarAxis(range=(-1.5 * limit_m, 1.5 * limit_m), zoom_lock=False),
-            axis_x=whole,
+            axis_x=whole_flight(),
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=axis == "x"),
         )
         for axis, what, desired_m, limit_m in zip(
@@ -55,26 +62,68 @@ def flight_blueprint(window: WindowConfig) -> rrb.Blueprint:
         )
     ]
     more = rrb.Tabs(
-        rrb.TimeSeriesView(origin="plots/fusion", name="Fusion", axis_x=whole, plot_legend=rrb.Corner2D.RightTop),
-        rrb.TimeSeriesView(origin="plots/range", name="Range", axis_x=whole),
-        rrb.TimeSeriesView(origin="plots/setpoint", name="Setpoint", axis_x=whole),
-        rrb.TimeSeriesView(origin="plots/latency", name="Latency, ms", axis_x=whole),
+        plot("fusion", "Fusion", legend=True),
+        plot("range", "Range"),
+        plot("setpoint", "Setpoint"),
+        plot("latency", "Latency, ms"),
     )
-    foot = rrb.Horizontal(
-        rrb.StateTimelineView(origin="phase", name="Phase", time_view=whole),
+    return rrb.Vertical(
+        rrb.Horizontal(scene, rrb.Tabs(camera, operator), column_shares=[3, 2]),
+        rrb.Horizontal(*br, more),
+        foot("/phase", "/trust"),
+        row_shares=[5, 2.8, 1.6],
+        name="Flight",
+    )
+
+
+def trust_page() -> rrb.Container:
+    """Return protection per axis above, what the filter makes of its measurements below, bands and log at the foot."""
+    protection = [
+        rrb.TimeSeriesView(
+            origin=f"plots/trust/{axis}",
+            name=f"Protection level {axis}, m",
+            axis_y=rrb.ScalarAxis(range=(0.0, 2.0), zoom_lock=False),
+            axis_x=whole_flight(),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=axis == "x"),
+        )
+        for axis in "xyz"
+    ]
+    nis = rrb.TimeSeriesView(
+        origin="plots/nis", name="NIS over degrees of freedom", axis_x=whole_flight(),
+        axis_y=rrb.ScalarAxis(range=(0.0, 6.0), zoom_lock=False), plot_legend=rrb.Corner2D.RightTop,
+    )  # fmt: skip
+    return rrb.Vertical(
+        rrb.Horizontal(*protection, nis),
+        rrb.Horizontal(
+            plot("filter/gps_bias", "GPS less truth, m", legend=True),
+            plot("filter/boresight", "Boresight, mrad", legend=True),
+            plot("filter/lag", "Lag of the datalink's stamps, ms"),
+            plot("inputs", "Inputs come late by, ms", legend=True),
+        ),
+        foot("/phase", "/trust", "/health/**"),
+        row_shares=[3, 3, 3],
+        name="Trust",
+    )
+
+
+def whole_flight() -> rrb.TimeAxis:
+    """Return a time axis from beginning to end."""
+    ends = rrb.TimeRangeBoundary.infinite()
+    return rrb.TimeAxis(view_range=rrb.TimeRange(ends, ends))
+
+
+def plot(origin: str, name: str, *, legend: bool = False) -> rrb.TimeSeriesView:
+    """Return a plot of the whole flight."""
+    where = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend)
+    return rrb.TimeSeriesView(origin=f"plots/{origin}", name=name, axis_x=whole_flight(), plot_legend=where)
+
+
+def foot(*bands: str) -> rrb.Container:
+    """Return bands of states beside the log."""
+    return rrb.Horizontal(
+        rrb.StateTimelineView(origin="/", contents=list(bands), name="States", time_view=whole_flight()),
         rrb.TextLogView(origin="log", name="Log", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])),
         column_shares=[3, 2],
-    )
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(scene, rrb.Tabs(camera, operator), column_shares=[3, 2]),
-            rrb.Horizontal(*br, more),
-            foot,
-            row_shares=[5, 2.8, 1.6],
-        ),
-        rrb.TimePanel(state=rrb.components.PanelState.Collapsed, timeline="sim_time"),
-        rrb.BlueprintPanel(state=rrb.components.PanelState.Hidden),
-        rrb.SelectionPanel(state=rrb.components.PanelState.Hidden),
     )
 
 

@@ -25,8 +25,14 @@ from companion.messages import (
     CameraFrame,
     Detections,
     Event,
+    FilterState,
+    FilterUpdate,
     FusedPose,
+    GpsStatus,
     GuidanceOutput,
+    Health,
+    InputLatency,
+    Integrity,
     Output,
     OwnAttitude,
     OwnPosition,
@@ -35,8 +41,10 @@ from companion.messages import (
     PoseMeasurement,
     Reject,
     RelativeState,
+    StageHealth,
     TankerState,
     Tick,
+    TimeStep,
     VisionMode,
     VisionModeChange,
     VisionOutput,
@@ -49,6 +57,13 @@ HEADING = 0.4
 SPEED_M_S = 206.0
 JOINED_S, ARRIVED_S, HOLD_FROM_S = 3.0, 28.0, 30.0
 START_MRF_M = np.array([-25.0, -20.0, 22.0])
+PHASES = (
+    (0.5, Phase.SELF_TEST), (1.0, Phase.JOIN), (JOINED_S, Phase.OBSERVATION), (3.5, Phase.PRE_CONTACT),
+    (4.0, Phase.APPROACH), (ARRIVED_S, Phase.CONTACT), (HOLD_FROM_S, Phase.HOLD),
+)
+"""When each phase is entered, in s."""
+GPS_BIAS_M = np.array([0.8, -0.5, 1.6])
+ALERT_M = np.array([0.4, 0.5, 0.5])
 
 
 def synthetic_setup() -> Setup:
@@ -136,17 +151,58 @@ def messages(setup: Setup, duration_s: float) -> Iterator[tuple[str, Event | Out
         if k % 4 == 0:
             T = flight.tanker(t)
             yield "in", TankerState(t_ns, T.t, flight.R_ned_mrf @ [SPEED_M_S, 0.0, 0.0], T.R, np.zeros(3))
+            yield "out", FilterUpdate(t_ns, "gps", 3.0 + 2.0 * np.sin(37.0 * t), 3, "gate" if k % 200 == 96 else "")
         if k == 50:
+            yield "in", TimeStep(t_ns, "autopilot", 20_000_000)
             yield "out", VisionModeChange(t_ns, VisionMode.SIMULATED)
+        if k % 100 == 0:
+            yield from once_a_second(t_ns)
         if k % 310 == 0:
             yield "out", Reject(t_ns, "datalink", "checksum", "frame of 55 bytes")
 
 
 def phase_at(t: float) -> Phase:
     """The phases of the flight."""
-    if t < 1.0:
-        return Phase.STANDBY
-    return Phase.JOIN if t < JOINED_S else Phase.APPROACH if t < HOLD_FROM_S else Phase.HOLD
+    return next((phase for entered_s, phase in reversed(PHASES) if t >= entered_s), Phase.STANDBY)
+
+
+def once_a_second(t_ns: int) -> Iterator[tuple[str, Event | Output]]:
+    """What the GPS says, how late inputs come, and, when it changes, how all stages are."""
+    t = t_ns / 1e9
+    yield "in", GpsStatus(t_ns, has_fix=True)
+    for source, mean_s in (("attitude", 0.004), ("camera", 0.021), ("datalink", 0.034)):
+        yield "out", InputLatency(t_ns, source, mean_s, 0.001, 2.0 * mean_s, SPEED_M_S * mean_s)
+    if t in (0.0, 3.0, 5.0):
+        yield "out", health(t_ns)
+
+
+def health(t_ns: int) -> Health:
+    """All well from the first second on, but for the datalink from the third to the fifth."""
+    ill = t_ns == 3_000_000_000
+    datalink = StageHealth("datalink", present=True, enabled=True, healthy=not ill, detail="stale for 0.5 s" * ill)
+    return Health(t_ns, (
+        StageHealth("camera", present=True, enabled=t_ns > 0, healthy=True), datalink,
+        StageHealth("gps", present=t_ns > 0, enabled=False, healthy=t_ns > 0),
+    ))  # fmt: skip
+
+
+def integrity(t_ns: int) -> Integrity:
+    """Protection that comes down as the receiver closes in, with a test that fails now and then at first."""
+    protection = np.array([0.30, 0.14, 0.20]) * (1.0 + 4.0 * np.exp(-t_ns / 8e9))
+    if t_ns == 0:
+        return Integrity(t_ns, np.full(3, np.inf), ALERT_M, may_dock=False, faults=("unseen",))
+    faults = ("gps_vision",) if 6e9 < t_ns < 7e9 else ()
+    inside = bool((protection < ALERT_M).all())
+    return Integrity(t_ns, protection, ALERT_M, may_dock=inside and not faults, faults=faults)
+
+
+def filter_state(t_ns: int) -> FilterState:
+    """Biases that are found within seconds."""
+    found = 1.0 - np.exp(-t_ns / 5e9)
+    x = np.concatenate([np.zeros(9), found * GPS_BIAS_M, found * np.array([0.002, -0.004, 0.001]), [0.012 * found]])
+    loose = np.repeat([0.1, 0.05, 0.002, 1.0, 0.01], 3)
+    sigma = np.append(loose, 0.02) * (0.05 + np.exp(-t_ns / 5e9))
+    return FilterState(t_ns, x, sigma, np.diag(sigma**2))
 
 
 def guidance_step(flight: Flight, t_ns: int, phase: Phase) -> Iterator[tuple[str, Event | Output]]:
@@ -157,8 +213,9 @@ def guidance_step(flight: Flight, t_ns: int, phase: Phase) -> Iterator[tuple[str
     yield "out", RelativeState(
         t_ns, t_ns, flight.br(t) + 0.04 * np.sin(np.array([3.0, 4.0, 5.0]) * t), np.zeros(3), np.zeros(3),
         np.zeros(3), flight.uav(t).R, np.zeros(3), heading, 0.0, T_cam_tanker,
-        float(np.linalg.norm(T_cam_tanker.t)), weight(t), 8,
+        float(np.linalg.norm(T_cam_tanker.t)), weight(t), 8, 0.01 * np.eye(3),
     )  # fmt: skip
+    yield "out", integrity(t_ns)
     setpoint = AttitudeSetpoint(t_ns, 0.05 * np.sin(0.5 * t), 0.05 + 0.01 * np.sin(0.8 * t), HEADING, 0.3)
     reference = flight.reference(t)
     yield "out", GuidanceOutput(t_ns, phase, reference, flight.br(t) - reference, np.zeros(3), setpoint)
@@ -182,6 +239,8 @@ def camera_step(flight: Flight, t_ns: int, sequence: int) -> Iterator[tuple[str,
     detections = Detections(t_ns, uv, np.full(m, 12.0), np.full(m, 0.1), np.zeros(m, np.uint8))
     yield "out", VisionOutput(t_ns, sequence, detections, predicted, labels, pose, reject)
     yield "out", FusedPose(t_ns, T, T, weight(t), len(marker))
+    yield "out", FilterUpdate(t_ns, "pixels", 2.0 * m + 3.0 * np.sin(11.0 * t), 2 * m)
+    yield "out", filter_state(t_ns)
 
 
 def weight(t: float) -> float:

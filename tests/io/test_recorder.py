@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
-from synthetic_flight import messages, record, synthetic_setup
+from synthetic_flight import PHASES, health, integrity, messages, record, synthetic_setup
 
 from companion.config import ConfigError, Setup, load
 from companion.io.recorder import (
@@ -28,9 +28,21 @@ from companion.io.recorder import (
     quantiles_ms,
     read_records,
 )
-from companion.messages import CameraFrame, Detections, OwnPosition, RelativeState, Tick, VisionOutput
+from companion.messages import (
+    CameraFrame,
+    Detections,
+    FilterState,
+    OwnPosition,
+    Phase,
+    PhaseChange,
+    RelativeState,
+    Tick,
+    VisionOutput,
+)
 
 SECONDS = 4.0
+LAST_NS = 3_000_000_000
+"""When health was last told."""
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +83,21 @@ def test_pictures_stay_out_and_unseen_markers_are_null(flown: tuple[Path, dict])
     assert next(read_records(folder / "events.jsonl"))["predicted_uv_px"] == [[1.5, None]]
 
 
+def test_a_filter_state_is_kept_without_its_covariance(flown: tuple[Path, dict]) -> None:
+    states = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FilterState)]
+    rows = [r for r in read_records(flown[0] / "events.jsonl") if r["kind"] == "FilterState"]
+    for state, row in zip(states, rows, strict=True):
+        assert set(row) == {"kind", "dir", "t_ns", "x", "sigma"}
+        np.testing.assert_array_equal(row["x"], state.x)
+        np.testing.assert_array_equal(row["sigma"], state.sigma)
+
+
+def test_what_nothing_bounds_is_null(flown: tuple[Path, dict]) -> None:
+    rows = [r for r in read_records(flown[0] / "events.jsonl") if r["kind"] == "Integrity"]
+    assert rows[0]["protection_mrf_m"] == [None] * 3
+    assert rows[0]["faults"] == ["unseen"]
+
+
 def test_the_configuration_flown_can_be_loaded_again(flown: tuple[Path, dict]) -> None:
     assert load(flown[0] / "config.toml", Setup) == synthetic_setup()
 
@@ -101,6 +128,50 @@ def test_summary_counts_what_happened(flown: tuple[Path, dict]) -> None:
     assert summary["latency_ms"] == {"vision": {"p50": 2.0, "p99": 2.0, "max": 2.0}}
     assert (summary["pose_solver"], summary["law"], summary["fusion"]) == ("lhm", "attitude", "blend")
     assert not any(summary["recorder"].values())
+
+
+def test_summary_tells_phases_health_updates_and_latencies(flown: tuple[Path, dict]) -> None:
+    summary = json.loads((flown[0] / "summary.json").read_text())
+    assert summary["phases"] == [[t_s, p.value, "by the clock"] for t_s, p in PHASES if t_s < SECONDS]
+    assert summary["health"] == {
+        s.name: {k: getattr(s, k) for k in ("present", "enabled", "healthy", "detail")} for s in health(LAST_NS).stages
+    }
+    assert summary["filter"] == {
+        "gps": {"accepted": 98, "rejected": {"gate": 2}, "accepted_fraction": 0.98},
+        "pixels": {"accepted": 80, "rejected": {}, "accepted_fraction": 1.0},
+    }
+    assert set(summary["input_latency"]) == {"attitude", "camera", "datalink"}
+    assert summary["input_latency"]["camera"]["cost_m"] == pytest.approx(206.0 * 0.021)
+    assert summary["integrity"] is None  # no hold yet, and never "may dock"
+
+
+def test_trust_is_told_of_the_hold_alone(tmp_path: Path) -> None:
+    told = [integrity(round(k * 1e9)) for k in (0, 6.5, 20, 21, 22, 6.6)]
+    with RunRecorder(tmp_path, synthetic_setup(), t0_ns=1_000_000_000) as recorder:
+        for n, message in enumerate(told):
+            if n == 3:
+                recorder.output(PhaseChange(message.t_ns, Phase.CONTACT, Phase.HOLD, "inside"))
+            recorder.output(message)
+        figures = recorder.write_summary({})["integrity"]
+    hold = told[3:]
+    assert figures == {
+        "may_dock_s": 19.0,
+        "may_dock_fraction": pytest.approx(2 / 3),
+        "protection_max_m": np.max([m.protection_mrf_m for m in hold], axis=0).tolist(),
+        "alert_m": hold[0].alert_mrf_m.tolist(),
+        "faults": {"gps_vision": pytest.approx(1 / 3)},
+    }
+
+
+def test_no_bound_in_the_hold_is_no_number(tmp_path: Path) -> None:
+    with RunRecorder(tmp_path, synthetic_setup()) as recorder:
+        recorder.output(PhaseChange(0, Phase.CONTACT, Phase.HOLD, "inside"))
+        for message in (integrity(20_000_000_000), integrity(0), integrity(21_000_000_000)):
+            recorder.output(message)
+        recorder.write_summary({})
+    figures = json.loads((tmp_path / "summary.json").read_text())["integrity"]
+    assert figures["protection_max_m"] == [None] * 3
+    assert figures["faults"] == {"unseen": pytest.approx(1 / 3)}
 
 
 def test_same_messages_same_bytes(flown: tuple[Path, dict], tmp_path: Path) -> None:

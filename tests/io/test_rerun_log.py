@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from synthetic_flight import HEADING, Flight, messages, phase_at, record, synthetic_setup, truths
+from synthetic_flight import ALERT_M, HEADING, Flight, messages, phase_at, record, synthetic_setup, truths
 
 from companion.config import ConfigError
 from companion.geometry import rotation_from_euler, rotation_from_quaternion
 from companion.io.rerun_log import QUEUED_PICTURES, RerunLog, scene_poses
 from companion.io.rerun_view import open_viewer, recordings
-from companion.messages import CameraFrame, FusedPose, RelativeState
+from companion.messages import CameraFrame, FilterState, FilterUpdate, FusedPose, Integrity, RelativeState
 from companion.vision.camera import T_frd_cam
 from sim_bridge.truth_log import TruthLog
 
@@ -128,12 +128,75 @@ def test_fusion_and_setpoints_are_drawn(drawn: Columns) -> None:
 
 def test_phases_and_rejects_are_told(drawn: Columns) -> None:
     band = drawn["/phase"]
-    assert list(np.ravel(band["state"])) == ["standby", "join", "approach"]
-    assert [phase_at(t).value for t in seconds(band)] == ["standby", "join", "approach"]
-    assert "join -> approach: by the clock" in np.ravel(drawn["/log/phase"]["text"])
+    flown = ["standby", "self_test", "join", "observation", "pre_contact", "approach"]
+    assert list(np.ravel(band["state"])) == flown
+    assert [phase_at(t).value for t in seconds(band)] == flown
+    assert "pre_contact -> approach: by the clock" in np.ravel(drawn["/log/phase"]["text"])
     rejects = drawn["/log/rejects"]
     assert list(np.ravel(rejects["text"])) == 2 * ["datalink: checksum frame of 55 bytes"]
     assert list(np.ravel(rejects["level"])) == ["WARN", "WARN"]
+
+
+def test_trust_is_drawn_thinned_and_its_changes_in_full(drawn: Columns) -> None:
+    told = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, Integrity)]
+    states = drawn["/trust"]
+    assert list(np.ravel(states["state"])) == ["test fails", "beyond alert"]  # nothing is seen at t = 0
+    assert seconds(states) == pytest.approx([0.0, 0.02])
+    for k, axis in enumerate("xyz"):
+        line = drawn[f"/plots/trust/{axis}/protection"]
+        due = [t for t in told if np.isfinite(t.protection_mrf_m).all()][::10]
+        assert 0.0 < seconds(line)[0] <= 0.2
+        assert np.diff(seconds(line)) == pytest.approx(0.2)
+        assert set(np.ravel(line["scalars"])) <= {t.protection_mrf_m[k] for t in told}
+        assert len(line["scalars"]) == pytest.approx(len(due), abs=1)
+        assert {v[0] for v in drawn[f"/plots/trust/{axis}/alert"]["scalars"]} == {ALERT_M[k]}
+    assert list(np.ravel(drawn["/log/trust"]["text"])) == ["integrity: unseen", "integrity: no test fails"]
+
+
+def test_a_test_that_flickers_is_told_once_a_second(tmp_path: Path) -> None:
+    log = RerunLog(tmp_path / "flight.rrd", synthetic_setup())
+    for k in range(100):
+        faults = ("residual",) if k % 2 else ()
+        log.output(Integrity(k * 20_000_000, ALERT_M / 2, ALERT_M, may_dock=not faults, faults=faults))
+    log.close()
+    drawn = read(tmp_path / "flight.rrd")
+    assert len(drawn["/trust"]["state"]) == 100
+    told = np.ravel(drawn["/log/trust"]["text"]).tolist()
+    assert sorted(told) == 2 * ["integrity: no test fails"] + 2 * ["integrity: residual"]
+
+
+def test_the_filter_is_drawn_in_the_units_of_its_plots(drawn: Columns) -> None:
+    states = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FilterState)]
+    every = {round(m.t_ns / 1e9, 6): m for m in states}
+    for plot, names, first, unit in (
+        ("gps_bias", ("north", "east", "down"), 9, 1.0), ("boresight", ("roll", "pitch", "yaw"), 12, 1e3),
+        ("lag", ("datalink",), 15, 1e3),
+    ):
+        for k, name in enumerate(names):
+            line, band = drawn[f"/plots/filter/{plot}/{name}"], drawn[f"/plots/filter/{plot}/{name}_sigma"]
+            shown = [every[round(t, 6)] for t in seconds(line)]
+            assert len(shown) == pytest.approx(SECONDS / 0.2, abs=1)
+            np.testing.assert_allclose(np.ravel(line["scalars"]), [unit * m.x[first + k] for m in shown])
+            for (low, high), m in zip(band["scalars"], shown, strict=True):
+                assert high - low == pytest.approx(2 * unit * m.sigma[first + k])
+
+
+def test_every_update_is_a_point_of_its_source_or_a_rejected_one(drawn: Columns) -> None:
+    updates = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FilterUpdate)]
+    for name in ("gps", "pixels", "rejected"):
+        mine = [m.nis / m.dof for m in updates if ("rejected" if m.reason else m.source) == name]
+        assert len(mine) >= 3
+        assert np.ravel(drawn[f"/plots/nis/{name}"]["scalars"]).tolist() == mine
+
+
+def test_stages_are_bands_and_what_fails_is_in_the_log(drawn: Columns) -> None:
+    bands = {name: list(np.ravel(drawn[f"/health/{name}"]["state"])) for name in ("camera", "datalink", "gps")}
+    assert bands == {"camera": ["not used", "well"], "datalink": ["well", "ill", "well"], "gps": ["absent", "not used"]}
+    log = drawn["/log/health"]
+    assert list(np.ravel(log["text"])) == ["datalink fails: stale for 0.5 s", "datalink is well again"]
+    assert list(np.ravel(log["level"])) == ["WARN", "INFO"]
+    assert seconds(log) == pytest.approx([3.0, 5.0])
+    assert np.ravel(drawn["/plots/inputs/camera"]["scalars"]) == pytest.approx([21.0] * 6)
 
 
 def test_both_files_of_a_run_are_one_recording(folder: Path) -> None:
@@ -199,12 +262,12 @@ def test_a_disk_that_fills_up_costs_the_end_of_the_recording_only(tmp_path: Path
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     log = RerunLog(tmp_path / "flight.rrd", synthetic_setup())
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-        record(log, synthetic_setup(), 3.0)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (250_000, hard))
+        record(log, synthetic_setup(), 6.0)
         log.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert (tmp_path / "flight.rrd").stat().st_size == 100_000
+    assert (tmp_path / "flight.rrd").stat().st_size == 250_000
 
 
 def test_a_disk_that_is_full_from_the_start_is_one_clear_line(tmp_path: Path) -> None:
