@@ -146,7 +146,7 @@ class Pipeline:
     def _tick(self, tick: Tick) -> list[Output]:
         state = self.relative.at(tick.t_ns)
         outputs: list[Output] = [] if state is None else [state]
-        outputs += self.approach.step(tick.t_ns, state)
+        outputs += self.approach.step(tick.t_ns, state, self.relative.sources(), None)
         self._mark("guidance")
         return outputs
 

@@ -102,7 +102,7 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     approach_closure_m_s: float = 0.8
     contact_closure_m_s: float = 0.25
     contact_near_m: float = 3.0
-    closure_m_s2: float = 0.2
+    closure_m_s2: float = 0.3
     contact_timeout_s: float = 30.0
     law: Literal["attitude", "velocity", "surfaces"] = "attitude"
     rate_hz: float = 50.0
@@ -125,7 +125,7 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     breakaway_descent_rad: float = 0.05
     breakaway_thrust: float = 0.05
     breakaway_separation_m: float = 60.0
-    breakaway_level_s: float = 20.0
+    breakaway_level_s: float = 8.0
     guard: GuardConfig = GuardConfig()
 
 

@@ -3,9 +3,10 @@
 Rules
 -----
 * Telemetry counts only from ``links.system_id``/``links.autopilot_component_id``; commands from the vehicle's own
-  system or ``links.gcs_system_id``, addressed to our component: MAV_CMD_USER_1 engage, USER_2 breakaway, USER_3 clear,
-  USER_4 real vision, USER_5 simulated vision (``telemetry.COMMANDS``). Every command addressed to us is acknowledged;
-  what is addressed elsewhere is left alone.
+  system or ``links.gcs_system_id``, addressed to our component: MAV_CMD_USER_1 with 0 engage, 1 pre-contact, 2 contact,
+  3 disconnect, USER_2 breakaway, USER_3 clear, USER_4 real vision, USER_5 simulated vision (``telemetry.COMMANDS``);
+  that a phase has no use for a command is told by the phases, not in the answer. Every command addressed to us is
+  acknowledged; what is addressed elsewhere is left alone.
 * Stamps of the autopilot's clock (milliseconds since boot) are brought to the companion's base with the offset that
   TIMESYNC gives; before that, telemetry with a stamp is rejected as ``no_timesync``.
 * A setpoint that is not finite or not in range never leaves.
@@ -151,17 +152,13 @@ class AutopilotLink:
     def _command(self, message: Message, now_ns: int) -> Event | None:
         if (message.target_system, message.target_component) != self._us:
             return None
-        command = telemetry.COMMANDS.get(message.command)
-        is_long = message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_LONG
+        command, result = telemetry.operator_command(message)
         source = (message.get_srcSystem(), message.get_srcComponent())
         event: Event | None = None
         if source[0] not in self._operators:
             result = dialect.MAV_RESULT_DENIED
             event = Reject(now_ns, SOURCE, "foreign_source", f"command {message.command} from {source[0]}/{source[1]}")
-        elif command is None or not is_long:
-            result = dialect.MAV_RESULT_UNSUPPORTED
-        else:
-            result = dialect.MAV_RESULT_ACCEPTED
+        elif command is not None:
             event = OperatorCommand(now_ns, command)
         self._reply(dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source), now_ns)
         return event

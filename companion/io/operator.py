@@ -15,8 +15,6 @@ GCS_COMPONENT_ID = 190
 
 TRIES, ANSWER_S, POLL_S = 5, 0.4, 0.01
 
-NUMBERS = {command: number for number, command in COMMANDS.items()}
-
 RESULTS = {
     dialect.MAV_RESULT_ACCEPTED: "accepted",
     dialect.MAV_RESULT_DENIED: "denied",
@@ -33,13 +31,16 @@ class Operator:
 
     def frame(self, command: Command) -> bytes:
         """Return COMMAND_LONG for the companion."""
-        return self._codec.pack(dialect.MAVLink_command_long_message(*self._target, NUMBERS[command], 0, *([0.0] * 7)))
+        number, param1 = COMMANDS[command]
+        parameters = (param1 or 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return self._codec.pack(dialect.MAVLink_command_long_message(*self._target, number, 0, *parameters))
 
     def result(self, data: bytes, command: Command) -> str | None:
         """Return what the companion said of ``command``, None when ``data`` does not tell."""
         for message, _ in self._codec.feed(data):
             source = (message.get_srcSystem(), message.get_srcComponent())
-            if message.get_type() == "COMMAND_ACK" and source == self._target and message.command == NUMBERS[command]:
+            answers = message.get_type() == "COMMAND_ACK" and message.command == COMMANDS[command][0]
+            if answers and source == self._target:
                 return RESULTS.get(message.result, f"refused with result {message.result}")
         return None
 

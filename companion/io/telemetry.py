@@ -17,6 +17,7 @@ from companion.messages import (
     AutopilotMode,
     AutopilotStatus,
     Command,
+    GpsStatus,
     OffsetSetpoint,
     OwnAttitude,
     OwnPosition,
@@ -33,14 +34,19 @@ MAX_SPEED_M_S = 1000.0
 ARDUPLANE_GUIDED = 15
 PX4_MAIN_MODE_OFFBOARD = 6
 
-COMMANDS = {
-    dialect.MAV_CMD_USER_1: Command.ENGAGE,
-    dialect.MAV_CMD_USER_2: Command.BREAKAWAY,
-    dialect.MAV_CMD_USER_3: Command.CLEAR,
-    dialect.MAV_CMD_USER_4: Command.REAL_VISION,
-    dialect.MAV_CMD_USER_5: Command.SIMULATED_VISION,
+COMMANDS: dict[Command, tuple[int, float | None]] = {
+    Command.ENGAGE: (dialect.MAV_CMD_USER_1, 0.0),
+    Command.PRE_CONTACT: (dialect.MAV_CMD_USER_1, 1.0),
+    Command.CONTACT: (dialect.MAV_CMD_USER_1, 2.0),
+    Command.DISCONNECT: (dialect.MAV_CMD_USER_1, 3.0),
+    Command.BREAKAWAY: (dialect.MAV_CMD_USER_2, None),
+    Command.CLEAR: (dialect.MAV_CMD_USER_3, None),
+    Command.REAL_VISION: (dialect.MAV_CMD_USER_4, None),
+    Command.SIMULATED_VISION: (dialect.MAV_CMD_USER_5, None),
 }
-"""What an operator sends as COMMAND_LONG to our component; the parameters are not used."""
+"""What an operator sends as COMMAND_LONG to our component: number and first parameter; parameters are not used else."""
+
+COMMAND_NUMBERS = frozenset(number for number, _ in COMMANDS.values())
 
 IGNORE_POSITION = 0x007
 IGNORE_ACCELERATION = 0x1C0
@@ -84,6 +90,25 @@ def autopilot_status(message: Message, t_ns: int) -> AutopilotStatus:
     """HEARTBEAT: whether the autopilot is armed, and whether it follows our setpoints."""
     armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
     return AutopilotStatus(t_ns, AutopilotMode.GUIDED if follows(message) else AutopilotMode.MANUAL, armed)
+
+
+def gps_status(message: Message, t_ns: int) -> GpsStatus:
+    """GPS_RAW_INT: whether the receiver has a three-dimensional fix (differential and RTK ones are that as well)."""
+    return GpsStatus(t_ns, bool(dialect.GPS_FIX_TYPE_3D_FIX <= message.fix_type <= dialect.GPS_FIX_TYPE_PPP))
+
+
+def operator_command(message: Message) -> tuple[Command | None, int]:
+    """COMMAND_LONG or COMMAND_INT: the command, if it is one of ours, and the MAV_RESULT to answer with.
+
+    A first parameter that names no command, NaN among them, is denied: what a gate is told must not be guessed.
+    """
+    is_long = message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_LONG
+    if message.command not in COMMAND_NUMBERS or not is_long:
+        return None, dialect.MAV_RESULT_UNSUPPORTED
+    for command, (number, param1) in COMMANDS.items():
+        if number == message.command and param1 in (None, message.param1):
+            return command, dialect.MAV_RESULT_ACCEPTED
+    return None, dialect.MAV_RESULT_DENIED
 
 
 def follows(message: Message) -> bool:
