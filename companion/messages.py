@@ -285,7 +285,8 @@ class Integrity:
 
     ``protection_mrf_m`` (3,): BR is within so much of the estimate per axis of ``mrf``, but for the risk of the
     configuration; ``alert_mrf_m`` (3,): what it may be at most. ``may_dock``: it is inside, and no test fails.
-    ``faults``: the tests that fail, by name, none when all is well; ``unseen``: nothing yet to judge by.
+    ``faults``: the tests that fail, by name, none when all is well: any of them takes ``may_dock`` away. ``notes``:
+    what is not as it should be and does not; with ``unseen``, no sight to judge by, ``may_dock`` is false.
     """
 
     t_ns: int
@@ -293,6 +294,7 @@ class Integrity:
     alert_mrf_m: Vec
     may_dock: bool
     faults: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,18 +7,23 @@ turns that into latencies.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config import Setup
+from companion.config import CameraConfig, Setup, landmarks
 from companion.estimation.aircraft import Aircraft
 from companion.estimation.blend import Blend
 from companion.estimation.fusion import Fusion
+from companion.estimation.integrity import IntegrityMonitor
+from companion.estimation.integrity_markers import Eye
 from companion.estimation.relative import RelativeEstimator
 from companion.guidance.approach import Approach
+from companion.health import HealthMonitor
 from companion.messages import (
     AutopilotStatus,
     CameraFrame,
@@ -38,7 +43,7 @@ from companion.messages import (
     VisionMode,
     VisionModeChange,
 )
-from companion.vision.camera import T_frd_cam
+from companion.vision.camera import T_frd_cam, pixels_to_normalised, project
 from companion.vision.chain import VisionChain
 
 VISION_MODES = {Command.REAL_VISION: VisionMode.REAL, Command.SIMULATED_VISION: VisionMode.SIMULATED}
@@ -57,7 +62,13 @@ class Pipeline:
         self.aircraft = Aircraft(setup.config.fusion, T_frd_cam(setup.camera))
         self.fusion: Fusion = Blend(setup.config.fusion, self.aircraft)
         self.relative = RelativeEstimator(self.fusion, self.aircraft, setup.tanker, setup.airframe)
+        config = setup.config
+        self.integrity = IntegrityMonitor(
+            config.integrity, setup.tanker.window, eye_of(setup.camera), landmarks(setup.tanker, config.vision),
+            config.vision,
+        )
         self.approach = Approach(setup.config.guidance, setup.airframe, setup.tanker.window)
+        self.monitor = HealthMonitor(setup)
         self._last_frame: CameraFrame | MarkerFrame | None = None
         self._seen_real = False  # a pose of a picture since real vision was switched on
 
@@ -82,7 +93,11 @@ class Pipeline:
 
     def handle(self, event: Event) -> list[Output]:
         """Take one event and return its outputs."""
-        return self._handlers[type(event)](event)
+        self.monitor.event(event)
+        outputs = self._handlers[type(event)](event)
+        for output in outputs:
+            self.monitor.output(output)
+        return outputs
 
     def _status(self, status: AutopilotStatus) -> list[Output]:
         self.approach.status_event(status)
@@ -97,7 +112,7 @@ class Pipeline:
         return []
 
     def _position(self, reject: Reject | None) -> list[Output]:
-        return self.fusion.positions() if reject is None else [reject]
+        return self._judged(self.fusion.positions()) if reject is None else [reject]
 
     def _gps(self, status: GpsStatus) -> list[Output]:
         self.aircraft.gps_event(status)
@@ -108,6 +123,7 @@ class Pipeline:
         self.aircraft.time_step_event(step)
         self.fusion.restart()
         self.relative.restart()
+        self.integrity.restart()
         return []
 
     def _frame(self, frame: CameraFrame | MarkerFrame) -> list[Output]:
@@ -128,8 +144,14 @@ class Pipeline:
         self._seen_real = looks and (self._seen_real or seen.pose is not None)
         self._mark("vision")
         fused = self.fusion.vision(seen)
+        outputs = self._judged([seen, *fused])
         self._mark("fusion")
-        return [seen, *fused]
+        return outputs
+
+    def _judged(self, outputs: list[Output]) -> list[Output]:
+        for output in outputs:
+            self.integrity.see(output)
+        return outputs
 
     def _standstill(self, frame: CameraFrame | MarkerFrame) -> str:
         """Say what shows that the camera stands still: a stamp, or a picture bit for bit, that has been before.
@@ -145,10 +167,20 @@ class Pipeline:
 
     def _tick(self, tick: Tick) -> list[Output]:
         state = self.relative.at(tick.t_ns)
-        outputs: list[Output] = [] if state is None else [state]
-        outputs += self.approach.step(tick.t_ns, state, self.relative.sources(), None)
+        sources = self.relative.sources()
+        integrity = None if state is None else self.integrity.at(state, sources)
+        outputs: list[Output] = [o for o in (state, integrity) if o is not None]
+        outputs += self.approach.step(tick.t_ns, state, sources, integrity)
         self._mark("guidance")
         return outputs
+
+
+def eye_of(camera: CameraConfig) -> Eye:
+    """Return what integrity needs of a camera."""
+    return Eye(
+        math.sqrt(camera.fx_px * camera.fy_px), (camera.width_px, camera.height_px), T_frd_cam(camera),
+        partial(project, camera), partial(pixels_to_normalised, camera),
+    )
 
 
 def _repeats(frame: CameraFrame | MarkerFrame, last: CameraFrame | MarkerFrame) -> bool:

@@ -1,0 +1,193 @@
+"""Integrity: how far the estimate can be trusted, and whether it is good enough to dock.
+
+Rules
+-----
+* Protection by multiple hypothesis solution separation, as ARAIM does it for satellites (Blanch et al. 2012; Pervan,
+  Pullen, Christie 1998; Brown 1996), over the markers of the map and over the sources. Per axis q of ``mrf``, with
+  sigma_q of the estimate's covariance and of what calibration, light and survey do beside it::
+
+      PL = max( K_free sigma_q,  max over hypotheses h of |d_hq| + K_fault sqrt(sigma_q^2 + sigma_hq^2) )
+
+  d_h is how far the estimate lies from the one that h leaves untouched, sigma_h the standard deviation of d_h. The
+  hypotheses: each labelled marker is wrong (``integrity_markers``); the camera's mount or an attitude is (d = turn x
+  lever); all but the vision of the moment is; GPS is, with the share that it has in the estimate.
+* Budget: half of ``risk`` without a fault, two-sided: Q(K_free) = risk / 4. The other half over n hypotheses, each with
+  ``fault_probability`` p: Q(K_fault) = risk / (4 n p). With 1e-7, 1e-3, 12 hypotheses K is 5.45 and 4.6.
+* False alarms: ``false_alarm`` per test. Markers: chi-square of two degrees of freedom, shared among them; sources:
+  normal. Means, not frames, are tested, and a test must fail for a while (``integrity_alarm``).
+* The alert limit is the desired window of thesis Tab. 1.1, wider by ``alert_growth`` metres for each metre from the
+  box, as landing systems grow theirs along the approach. Once |BR| + PL has been within the limit window it must
+  stay so.
+* ``may_dock``: seen at most ``stale_s`` ago, no fault, protection within the alert limit. Nothing seen is no fault:
+  protection is then ``UNKNOWN_M``, ``unseen`` among the notes. Notes never take ``may_dock`` away.
+
+==================== ==================================================================================================
+fault                meaning
+==================== ==================================================================================================
+``marker <id>``      a marker is not where the map has it, or what is taken for it is another light
+``boresight``        the camera is not mounted as the configuration says, or the attitudes of the INS do not fit
+``attitude``         an attitude has left the vision's within seconds
+``height_datum``     heights of the two aircraft differ from what the vision sees: another datum or pressure setting
+``gps_vision``       positions across do; ``gps`` as a note after they had agreed
+``residual``         the markers fit no pose for half of the last frames
+``innovation <s>``   measurements of source s are not what the filter foretells; a note for GPS
+==================== ==================================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import ndtri
+
+from companion.config import CornerPointConfig, IntegrityConfig, VisionConfig, WindowConfig
+from companion.config.structures import MarkerConfig
+from companion.estimation.integrity_alarm import Alarm, RunningMean
+from companion.estimation.integrity_markers import Eye, MarkerTest
+from companion.estimation.integrity_sources import AttitudeTest, GpsTest, InnovationTest
+from companion.geometry import Mat, Vec, rotation_from_euler
+from companion.messages import (
+    NS,
+    FilterState,
+    FilterUpdate,
+    FusedPose,
+    Integrity,
+    Output,
+    RelativeState,
+    Sources,
+    VisionOutput,
+)
+
+UNKNOWN_M = 1e3
+SOURCES = 3
+"""Hypotheses beside the markers."""
+LEFT_M = 1.0
+"""Beyond the limit window by so much, the receiver is on its way out and need not be within it."""
+COAST_M, COAST_M_S = 0.03, 0.05
+"""What the filter still knows of the place with few markers: to COAST_M, and so much worse for each second since many
+were seen; INS velocities are that good, and the marker that is wrong had no part in them."""
+FEW_S = 10.0
+RESIDUAL_S = 1.0
+
+
+class IntegrityMonitor:
+    """Sees what pipeline stages put out; says how far the estimate can be trusted. No clock."""
+
+    def __init__(
+        self, config: IntegrityConfig, window: WindowConfig, eye: Eye,
+        markers: Sequence[MarkerConfig | CornerPointConfig], vision: VisionConfig,
+    ) -> None:
+        """``markers``: what the vision looks for (``companion.config.landmarks``), in the order of its labels."""
+        self._config, self._vision = config, vision
+        self._desired_m, self._limit_m = np.array(window.desired_m), np.array(window.limit_m)
+        self._R_frd_cam = eye.T_frd_cam.R
+        places = np.array([m.p_tanker_m for m in markers], dtype=np.float64).reshape(-1, 3)
+        share = 4.0 * (len(places) + SOURCES) * config.fault_probability
+        self._k_free = float(-ndtri(config.risk / 4.0))
+        self._k_fault = float(-ndtri(config.risk / share))
+        sigmas = float(-ndtri(config.false_alarm / 6.0))  # three axes, two sides
+        self._markers = MarkerTest(config, eye, vision, places, tuple(m.id for m in markers))
+        self._gps = GpsTest(config, sigmas)
+        self._attitude = AttitudeTest(config, sigmas)
+        self._innovation = InnovationTest(config)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: time has stepped."""
+        for test in (self._markers, self._gps, self._attitude, self._innovation):
+            test.restart()
+        self._seen: VisionOutput | None = None
+        self._filtered = self._entered = False
+        self._many_ns: int | None = None
+        self._misfits = RunningMean(1, RESIDUAL_S)
+        self._residual = Alarm(RESIDUAL_S, RESIDUAL_S)
+        self._sigma_attitude_rad = self._vision.ins_sigma_rad
+
+    def see(self, output: Output) -> None:
+        """Take an output of vision or fusion, in the order in which the pipeline makes them."""
+        if isinstance(output, VisionOutput):
+            self._vision_output(output)
+        elif isinstance(output, FusedPose):
+            self._fused(output)
+        elif isinstance(output, FilterUpdate):
+            self._innovation.see(output)
+        elif isinstance(output, FilterState):
+            self._filtered = True
+            self._attitude.state(output)
+            self._sigma_attitude_rad = float(np.sqrt(output.sigma[6:9].max() ** 2 + output.sigma[12:15].max() ** 2))
+
+    def _vision_output(self, seen: VisionOutput) -> None:
+        misfit = seen.reject is not None and seen.reject.reason == "residual"
+        self._misfits.add(seen.t_ns, np.array([1.0 if misfit else 0.0]))
+        self._residual.update(seen.t_ns, fails=bool(self._misfits.mean[0] > 0.5))
+        self._seen = seen
+
+    def _fused(self, fused: FusedPose) -> None:
+        """Judge the frame that the fusion has just taken."""
+        seen, self._seen = self._seen, None
+        if seen is None or seen.t_ns != fused.t_ns:
+            return
+        pose = seen.pose
+        T = fused.T_cam_tanker if pose is None else pose.T_cam_tanker
+        many = int(np.count_nonzero(seen.labels >= 0)) >= self._vision.min_markers
+        self._markers.see(seen, T, self._known_before(seen.t_ns))
+        if pose is not None and many:
+            self._many_ns = seen.t_ns
+            self._gps.see(pose, fused)
+            self._attitude.see(pose, fused, self._markers.noise_share)
+
+    def _known_before(self, t_ns: int) -> Mat:
+        """Return the information (6, 6) of the pose from INS, and from the filter's memory, that few markers add to."""
+        information = np.zeros(6)
+        information[3:] = 1.0 / self._sigma_attitude_rad**2
+        age_s = math.inf if self._many_ns is None else (t_ns - self._many_ns) * NS
+        if self._filtered and age_s < FEW_S:
+            information[:3] = 1.0 / (COAST_M + COAST_M_S * age_s) ** 2
+        return np.diag(information)
+
+    def at(self, state: RelativeState, sources: Sources) -> Integrity:
+        """Return what protects the estimate at its instant."""
+        R_ned_cam = state.R_ned_frd @ self._R_frd_cam
+        faults, notes = self._gps.at(state.t_ns, R_ned_cam @ state.T_cam_tanker.R)
+        more, more_notes = self._innovation.failing
+        faults += self._markers.faults + self._attitude.faults + more
+        faults += ("residual",) if self._residual.raised else ()
+        sight_ns = sources.sight_ns
+        unseen = sight_ns is None or (state.t_ns - sight_ns) * NS > self._config.stale_s
+        R_mrf_ned = rotation_from_euler(state.heading0_rad, 0.0, 0.0).T
+        protection_m = np.full(3, UNKNOWN_M) if unseen else self._protection(state, R_mrf_ned, R_mrf_ned @ R_ned_cam)
+        br_m = np.abs(state.p_mrf_br_m)
+        alert_m = self._desired_m + self._config.alert_growth * math.sqrt(br_m @ br_m)
+        within = bool((protection_m <= alert_m).all()) and self._stays(br_m, protection_m)
+        notes += more_notes + (("unseen",) if unseen else ())
+        return Integrity(state.t_ns, protection_m, alert_m, within and not unseen and not faults, faults, notes)
+
+    def _stays(self, br_m: Vec, protection_m: Vec) -> bool:
+        """Tell whether a receiver that has been surely within the limit window still is."""
+        inside = bool((br_m + protection_m <= self._limit_m).all())
+        if inside:
+            self._entered = True
+        elif (br_m > self._limit_m + LEFT_M).any():
+            self._entered = False
+        return inside or not self._entered
+
+    def _protection(self, state: RelativeState, R_mrf_ned: Mat, R_mrf_cam: Mat) -> Vec:
+        ways = [self._markers.separations]
+        if self._filtered:
+            ways.append(self._markers.separations_turning)
+        a = self._attitude
+        levels = []
+        for way in ways:
+            if way is None:
+                return np.full(3, UNKNOWN_M)
+            off_m = np.vstack((way.off_m, a.turned_m, a.away_m))
+            cov = np.concatenate((way.cov, (a.lever @ a.cov_turn @ a.lever.T)[None], a.cov_place[None]))
+            variance = np.diag(state.cov_mrf_br_m2) + np.diag(R_mrf_cam @ way.common @ R_mrf_cam.T)
+            of_hypotheses = ((R_mrf_cam @ cov) * R_mrf_cam).sum(axis=2)
+            d = np.abs(off_m @ R_mrf_cam.T) + self._k_fault * np.sqrt(variance + of_hypotheses)
+            levels += [self._k_free * np.sqrt(variance), d.max(axis=0)]
+        gps = np.abs(R_mrf_ned @ self._gps.off_ned_m) * (1.0 - state.vision_weight)
+        protection: Vec = np.minimum(np.max(levels, axis=0) + gps, UNKNOWN_M)
+        return protection

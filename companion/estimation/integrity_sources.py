@@ -1,0 +1,175 @@
+"""Do the sources agree? GPS with vision, the camera's mount with the INS, the estimate with the vision of the moment,
+and each measurement with what the filter foretells.
+
+Rules
+-----
+* GPS against vision: the mean of their difference, in ``ned``. Two good GPS are off against each other by
+  ``gps_own_m`` for minutes; errors that both share cancel. More than that, before the two have agreed for
+  ``agreed_s``, is a fault: ``height_datum`` (down: QNH, geoid for ellipsoid) or ``gps_vision`` (across).
+* Once they have agreed for that long, a difference is the GPS' fault, and no reason to stop: vision has redundancy
+  that is tested in every frame, two GPS have none. It is told as the note ``gps``.
+* The rotation of a pose against the INS attitudes: its mean over the window is the mount's (``boresight``); when the
+  quick mean leaves it, an attitude has gone (``attitude``). Only poses that found their own rotation count.
+* Normalised innovations squared (Bar-Shalom, Li, Kirubarajan 2001, 5.4): a mean of ``TOO_LARGE`` times the degrees of
+  freedom, or more than half of a source's measurements refused, is ``innovation <source>``; of GPS a note.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.config import IntegrityConfig
+from companion.estimation.integrity_alarm import Alarm, RunningMean
+from companion.geometry import Mat, Vec, log_so3, skew
+from companion.messages import NS, FilterState, FilterUpdate, FusedPose, PoseMeasurement
+
+QUICK_S = 0.25
+SOURCE_ON_S, SOURCE_OFF_S = 1.0, 3.0
+TURN_ON_S = 0.3
+LEAST_S = 0.5
+"""Means count from so much seen time on."""
+LEAST_M = 1.5
+"""Differences of GPS and vision below this are never a fault."""
+MOST_M = 100.0
+TOO_LARGE = 4.0
+REFUSED = 0.5
+LEAST_UPDATES = 10.0
+BORESIGHT = slice(12, 15)
+"""Place of the boresight in ``FilterState.x`` (``filter_state``)."""
+
+
+class GpsTest:
+    """GPS against vision."""
+
+    def __init__(self, config: IntegrityConfig, sigmas: float) -> None:
+        self._config = config
+        self._limit = sigmas
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every frame, and that the two have agreed."""
+        self._difference = RunningMean(3, self._config.window_s)  # tanker axes: GPS less vision
+        self._variance = RunningMean(3, self._config.window_s)
+        self._began_ns: int | None = None
+        self._agreed_s = 0.0
+        self._t_ns: int | None = None
+        self._height, self._across = Alarm(SOURCE_ON_S, SOURCE_OFF_S), Alarm(SOURCE_ON_S, SOURCE_OFF_S)
+        self.off_ned_m: Vec = np.zeros(3)
+
+    def see(self, pose: PoseMeasurement, fused: FusedPose) -> None:
+        """Take a pose and what GPS says at the same instant."""
+        R_tanker_cam = pose.T_cam_tanker.R.T
+        if not self._difference.fresh(pose.t_ns, 3.0 * self._config.window_s):
+            self._began_ns = pose.t_ns
+        self._difference.add(pose.t_ns, R_tanker_cam @ (fused.T_cam_tanker_gps.t - pose.T_cam_tanker.t))
+        self._variance.add(pose.t_ns, np.diag(R_tanker_cam @ pose.cov[:3, :3] @ R_tanker_cam.T))
+
+    @property
+    def agreed(self) -> bool:
+        """Tell whether the two have agreed for long."""
+        return self._agreed_s >= self._config.agreed_s
+
+    def at(self, t_ns: int, R_ned_tanker: Mat) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return faults and notes at an instant."""
+        passed_s = 0.0 if self._t_ns is None else max((t_ns - self._t_ns) * NS, 0.0)
+        self._t_ns = t_ns
+        known = self._difference.fresh(t_ns, 1.0) and self._seen_s(t_ns) >= LEAST_S
+        self.off_ned_m = -(R_ned_tanker @ self._difference.mean) if known else np.zeros(3)
+        sigma = np.sqrt(self._config.gps_own_m**2 + np.abs(R_ned_tanker) ** 2 @ self._variance.mean)
+        beyond = np.abs(self.off_ned_m) > np.maximum(self._limit * sigma, LEAST_M)
+        height = self._height.update(t_ns, fails=bool(known and beyond[2]))
+        across = self._across.update(t_ns, fails=bool(known and (beyond[0] or beyond[1])))
+        if self.agreed:
+            return (), ("gps",) if height or across else ()
+        if known:
+            self._agreed_s = 0.0 if beyond.any() else self._agreed_s + min(passed_s, 0.1)
+        return (("height_datum",) if height else ()) + (("gps_vision",) if across else ()), ()
+
+    def _seen_s(self, t_ns: int) -> float:
+        return 0.0 if self._began_ns is None else (t_ns - self._began_ns) * NS
+
+
+class AttitudeTest:
+    """The vision's rotation against that of the two INS, and the vision's place against the estimate's."""
+
+    def __init__(self, config: IntegrityConfig, sigmas: float) -> None:
+        self._config = config
+        self._limit = sigmas
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every frame."""
+        self._turn = RunningMean(3, self._config.window_s)  # camera axes, R_vision = exp(turn) R_ins
+        self._quick = RunningMean(3, QUICK_S)
+        self._away = RunningMean(3, QUICK_S)
+        self._found: Vec = np.zeros(3)
+        self._boresight, self._attitude = Alarm(TURN_ON_S, SOURCE_OFF_S), Alarm(TURN_ON_S, SOURCE_OFF_S)
+        self.cov_turn: Mat = np.zeros((3, 3))
+        self.cov_place: Mat = np.zeros((3, 3))
+        self.lever: Mat = np.zeros((3, 3))
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Return the tests that fail."""
+        return (("boresight",) if self._boresight.raised else ()) + (("attitude",) if self._attitude.raised else ())
+
+    @property
+    def turned_m(self) -> Vec:
+        """Return what the place (3,), camera axes, is off by if the mount is off as the vision says."""
+        return self.lever @ self._quick.mean
+
+    @property
+    def away_m(self) -> Vec:
+        """Return the vision's place less the estimate's (3,), camera axes."""
+        return self._away.mean
+
+    def state(self, state: FilterState) -> None:
+        """Take the boresight that the filter has found, and corrects."""
+        self._found = state.x[BORESIGHT]
+
+    def see(self, pose: PoseMeasurement, fused: FusedPose, noise_share: float) -> None:
+        """Take a pose that found its own rotation; ``noise_share``: of its covariance, what does not average out."""
+        turn = log_so3(pose.T_cam_tanker.R @ fused.T_cam_tanker.R.T)
+        cov = noise_share * pose.cov
+        self._away.add(pose.t_ns, pose.T_cam_tanker.t - fused.T_cam_tanker.t)
+        self._turn.add(pose.t_ns, turn)
+        self._quick.add(pose.t_ns, turn)
+        self.cov_place, self.cov_turn = cov[:3, :3], cov[3:, 3:]
+        self.lever = skew(pose.T_cam_tanker.t)
+        sigma = np.sqrt(np.diag(self.cov_turn))
+        limit = np.maximum(self._config.boresight_rad, self._limit * sigma)
+        off = np.abs(self._turn.mean + self._found)
+        self._boresight.update(pose.t_ns, fails=bool((off > limit).any() and self._turn.count >= 3.0))
+        left = np.abs(self._quick.mean - self._turn.mean)
+        self._attitude.update(pose.t_ns, fails=bool((left > 0.5 * limit).any()))
+
+
+class InnovationTest:
+    """Windowed normalised innovations squared of each source."""
+
+    def __init__(self, config: IntegrityConfig) -> None:
+        self._config = config
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every measurement."""
+        self._means: dict[str, RunningMean] = {}
+        self._alarms: dict[str, Alarm] = {}
+
+    def see(self, update: FilterUpdate) -> None:
+        """Take one measurement."""
+        mean = self._means.setdefault(update.source, RunningMean(3, self._config.window_s))
+        alarm = self._alarms.setdefault(update.source, Alarm(SOURCE_ON_S, SOURCE_OFF_S))
+        refused = bool(update.reason)
+        taken = np.array([0.0, 0.0, 1.0]) if refused else np.array([update.nis, float(update.dof), 0.0])
+        mean.add(update.t_ns, taken)
+        nis, dof, share = mean.mean.tolist()
+        large = nis > TOO_LARGE * dof or share > REFUSED
+        alarm.update(update.t_ns, fails=mean.count >= LEAST_UPDATES and large)
+
+    @property
+    def failing(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return faults and notes."""
+        names = [source for source, alarm in self._alarms.items() if alarm.raised]
+        faults = tuple(f"innovation {s}" for s in names if not s.startswith("gps"))
+        return faults, tuple(f"innovation {s}" for s in names if s.startswith("gps"))
