@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol
 
-from companion.messages import Event, Output, Setpoint
+from companion.messages import Event, Health, Output, Setpoint
 
 
 class Clock(Protocol):
@@ -26,10 +26,13 @@ class EventSource(Protocol):
 
 
 class SetpointSink(Protocol):
-    """Where setpoints leave."""
+    """Where setpoints leave, and word of how the companion is."""
 
     def send(self, setpoint: Setpoint) -> None:
         """Send one setpoint."""
+
+    def health(self, health: Health) -> None:
+        """Take how all stages are: told when one changes."""
 
 
 class Recorder(Protocol):

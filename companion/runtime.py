@@ -15,6 +15,7 @@ from companion.messages import (
     CameraFrame,
     Event,
     FusedPose,
+    Health,
     MarkerFrame,
     Output,
     Phase,
@@ -97,6 +98,8 @@ class Service:
         for output in outputs:
             if isinstance(output, Setpoint):
                 self._send(output)
+            elif isinstance(output, Health):
+                self._sink.health(output)
             elif isinstance(output, FusedPose) and output.markers_used:
                 self._pending_exposure_ns = output.t_ns
             elif isinstance(output, PhaseChange):

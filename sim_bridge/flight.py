@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from companion.app import warm_up
 from companion.config import Setup
@@ -21,7 +21,7 @@ from companion.io.clock import SimulatedClock
 from companion.io.datalink import TankerReceiver
 from companion.io.mavlink import AutopilotLink
 from companion.io.recorder import RunRecorder, create_run_folder
-from companion.messages import NS, CameraFrame, Event, MarkerFrame, Output, Phase, PhaseChange, Setpoint, Tick
+from companion.messages import NS, CameraFrame, Event, Health, MarkerFrame, Output, Phase, PhaseChange, Setpoint, Tick
 from companion.ports import Recorder
 from companion.runtime import Service, Ticker, in_phase_s
 from sim_bridge.plant.fdm import PlantError
@@ -59,6 +59,10 @@ class LockstepCompanion:
     def send(self, setpoint: Setpoint) -> None:
         """Put a setpoint on its way to the autopilot: this class is its own sink."""
         self._under_way.append((self.clock.now_ns() + self._delay_ns, setpoint))
+
+    def health(self, health: Health) -> None:
+        """Tell the link how all stages are."""
+        self.link.health(health)
 
     def hear(self, data: bytes) -> None:
         """Take bytes of the autopilot."""
@@ -111,6 +115,13 @@ def stamped(frame: CameraFrame | MarkerFrame, t_ns: int) -> CameraFrame | Marker
     if isinstance(frame, CameraFrame):
         return replace(frame, t_ns=t_ns)
     return replace(frame, t_ns=t_ns, detections=replace(frame.detections, t_ns=t_ns))
+
+
+class Ends(Protocol):
+    """Says when a flight is over."""
+
+    def reached(self, t_ns: int, service: Service) -> bool:
+        """Tell whether it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +199,7 @@ def fly(scenario: Scenario, setup: Setup, watch: Callable[[Output], None] | None
 
 
 def run(
-    simulation: Simulation, companion: LockstepCompanion, ending: Ending, see: Callable[[Truth], None]
+    simulation: Simulation, companion: LockstepCompanion, ending: Ends, see: Callable[[Truth], None]
 ) -> str | None:
     """Step until the ending, ``see`` the truth at 50 Hz; return what the plant failed of, or None."""
     step = 0

@@ -97,6 +97,9 @@ class Sink:
     def send(self, setpoint):
         raise AssertionError(setpoint)
 
+    def health(self, health):
+        assert not health.well
+
 
 def service_on(clock, folder):
     setup = load_setup(FIRMWARE_CONFIGS / "sitl" / "thesis.toml")

@@ -21,10 +21,11 @@ from companion.config import LinksConfig
 from companion.io import telemetry
 from companion.io.mavlink_codec import MavlinkCodec, Message, dialect
 from companion.io.rate_requests import RateRequests
+from companion.io.status import HealthReport, status_text
 from companion.io.telemetry import SOURCE
 from companion.io.timesync import WRAP_MS, ClockOffset, nearest_wrapped
 from companion.io.transport import Address, UdpTransport
-from companion.messages import Event, OperatorCommand, Reject, Setpoint
+from companion.messages import Event, Health, OperatorCommand, Reject, Setpoint
 from companion.ports import Clock
 
 __all__ = ["AutopilotLink", "MavlinkCodec", "MavlinkUdp", "Message", "dialect"]
@@ -32,7 +33,6 @@ __all__ = ["AutopilotLink", "MavlinkCodec", "MavlinkUdp", "Message", "dialect"]
 OnBytes = Callable[[int, bytes], None]
 
 NS_PER_MS = 1_000_000
-HEARTBEAT_NS = 1_000_000_000
 TIMESYNC_FIRST_NS = 100_000_000
 TIMESYNC_LATER_NS = 1_000_000_000
 TIMESYNC_FIRST_COUNT = 20
@@ -49,13 +49,14 @@ STAMPED = {
 class AutopilotLink:
     """Bytes of the autopilot to events, setpoints to bytes; time comes in with every call.
 
-    ``on_bytes(t_ns, frame)`` sees every valid frame, in and out. ``healthy`` False holds the heartbeat back.
+    ``on_bytes(t_ns, frame)`` sees every valid frame, in and out. ``health`` says how the companion is: its heartbeat
+    leaves only while all is well (``status``).
     """
 
     def __init__(self, config: LinksConfig, on_bytes: OnBytes | None = None) -> None:
         self.codec = MavlinkCodec(config.system_id, config.component_id)
         self.clock_offset = ClockOffset()
-        self.healthy = True
+        self._health = HealthReport()
         self.last_heard_ns: int | None = None
         self._us = (config.system_id, config.component_id)
         self._autopilot = (config.system_id, config.autopilot_component_id)
@@ -64,7 +65,6 @@ class AutopilotLink:
         self._replies: list[bytes] = []
         self._refused: list[Event] = []
         self._rates = RateRequests(tuple(STAMPED))
-        self._heartbeat_ns = 0
         self._timesync_ns = 0
         self._timesyncs = 0
 
@@ -180,15 +180,17 @@ class AutopilotLink:
     def outgoing(self, now_ns: int) -> bytes:
         """Return the answers that nobody has taken yet, and the periodic messages that are due."""
         messages = self._rates.due(now_ns, self._autopilot)
-        if self.healthy and now_ns >= self._heartbeat_ns:
-            self._heartbeat_ns = now_ns + HEARTBEAT_NS
-            messages.append(heartbeat())
+        messages += self._health.due(now_ns)
         if now_ns >= self._timesync_ns:
             first = self._timesyncs < TIMESYNC_FIRST_COUNT
             self._timesync_ns = now_ns + (TIMESYNC_FIRST_NS if first else TIMESYNC_LATER_NS)
             self._timesyncs += 1
             messages.append(dialect.MAVLink_timesync_message(0, self.clock_offset.request(now_ns)))
         return self.replies() + b"".join(self._pack(message, now_ns) for message in messages)
+
+    def health(self, health: Health) -> None:
+        """Take how all stages are: what follows leaves with ``outgoing``."""
+        self._health.take(health)
 
     def encode_setpoint(self, setpoint: Setpoint, now_ns: int) -> bytes | None:
         """Return the setpoint's message, or None when the setpoint must not leave; the next ``receive`` tells why."""
@@ -201,15 +203,7 @@ class AutopilotLink:
 
     def encode_text(self, text: str, now_ns: int, severity: int = dialect.MAV_SEVERITY_INFO) -> bytes:
         """Return a STATUSTEXT; what is longer than its 50 bytes is cut."""
-        content = text.encode("ascii", errors="replace")[:50]
-        return self._pack(dialect.MAVLink_statustext_message(severity, content), now_ns)
-
-
-def heartbeat() -> Message:
-    """Return the heartbeat of an onboard computer."""
-    return dialect.MAVLink_heartbeat_message(
-        dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-    )
+        return self._pack(status_text(text, severity), now_ns)
 
 
 def foreign(message: Message, now_ns: int) -> Reject | None:
@@ -269,6 +263,10 @@ class MavlinkUdp:
         frame = self.link.encode_setpoint(setpoint, self._clock.now_ns())
         if frame is not None:
             self._transport.send(frame)
+
+    def health(self, health: Health) -> None:
+        """Take how all stages are; the autopilot and its ground station are told with the next ``poll``."""
+        self.link.health(health)
 
     def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         """Send a STATUSTEXT for the operator."""

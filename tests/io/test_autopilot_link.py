@@ -18,6 +18,7 @@ from companion.messages import (
     AutopilotStatus,
     Command,
     Event,
+    Health,
     OperatorCommand,
     OwnAttitude,
     OwnPosition,
@@ -26,6 +27,7 @@ from companion.messages import (
 
 MS = 1_000_000
 S = 1_000 * MS
+ALL_WELL = Health(0, ())
 AHEAD_NS = 1234 * S  # autopilot's clock minus ours
 
 
@@ -213,16 +215,14 @@ def test_a_strangers_command_is_denied():
 
 def test_periodic_messages_keep_their_times():
     link = AutopilotLink(LinksConfig())
-    sent = Counter(m.get_type() for ms in range(0, 10_000, 5) for m in decoded(link.outgoing(ms * MS)))
-    assert sent == {"HEARTBEAT": 10, "TIMESYNC": 20 + 8}
-    [beat, *_] = decoded(AutopilotLink(LinksConfig()).outgoing(0))
+    link.health(ALL_WELL)
+    [beat, *more] = [m for ms in range(0, 10_000, 5) for m in decoded(link.outgoing(ms * MS))]
+    assert Counter(m.get_type() for m in [beat, *more]) == {"HEARTBEAT": 10, "TIMESYNC": 20 + 8}
     assert (beat.type, beat.get_srcSystem(), beat.get_srcComponent()) == (dialect.MAV_TYPE_ONBOARD_CONTROLLER, 1, 191)
 
 
-def test_an_unhealthy_companion_has_no_heartbeat():
-    link = AutopilotLink(LinksConfig())
-    link.healthy = False
-    assert [m.get_type() for m in decoded(link.outgoing(0))] == ["TIMESYNC"]
+def test_there_is_no_heartbeat_before_anything_has_said_that_all_is_well():
+    assert [m.get_type() for m in decoded(AutopilotLink(LinksConfig()).outgoing(0))] == ["TIMESYNC"]
 
 
 def rate_requests(link: AutopilotLink, now_ns: int) -> dict[int, float]:

@@ -11,7 +11,16 @@ from companion.config import ConfigError, LinksConfig
 from companion.io.clock import MonotonicClock, SimulatedClock
 from companion.io.mavlink import MavlinkCodec, MavlinkUdp, Message, dialect
 from companion.io.transport import UdpTransport, UdpUrl, parse_url
-from companion.messages import AttitudeSetpoint, AutopilotStatus, Command, Event, OperatorCommand, OwnPosition, Reject
+from companion.messages import (
+    AttitudeSetpoint,
+    AutopilotStatus,
+    Command,
+    Event,
+    Health,
+    OperatorCommand,
+    OwnPosition,
+    Reject,
+)
 
 S = 1_000_000_000
 HEARTBEAT = dialect.MAVLink_heartbeat_message(1, dialect.MAV_AUTOPILOT_GENERIC, 8 | 128, 0, 4, 3)
@@ -126,6 +135,7 @@ def test_nobody_is_spoken_to_before_the_autopilot_has_spoken(link: MavlinkUdp, m
 
 def test_both_ways(link: MavlinkUdp, clock: SimulatedClock, meet: Callable[[int, int], Peer]):
     autopilot = meet(1, 1)
+    link.health(Health(0, ()))  # nothing that could be ill
     autopilot.send(HEARTBEAT)
     [status] = wait_for(link.poll)
     assert isinstance(status, AutopilotStatus)
