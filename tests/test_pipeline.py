@@ -18,6 +18,7 @@ from companion.messages import (
     Command,
     FusedPose,
     GuidanceOutput,
+    Health,
     OperatorCommand,
     OwnAttitude,
     OwnPosition,
@@ -83,7 +84,7 @@ def run(events, pipeline=None):
 
 
 def kinds(outputs):
-    return [type(o) for o in outputs]
+    return [type(o) for o in outputs if not isinstance(o, Health)]
 
 
 def rejects(outputs):
@@ -125,7 +126,9 @@ def test_same_events_same_outputs():
 
 
 def test_nothing_known_nothing_said():
-    assert run([Tick(0), Tick(20 * MS)]) == []
+    [health] = run([Tick(0), Tick(20 * MS)])
+    assert isinstance(health, Health)
+    assert not health.well
     assert rejects(run([picture(0, 0)])) == {("vision", "no_prior"): 1}
 
 
