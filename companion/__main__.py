@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 
 from companion import __version__, app
-from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, vision_options, with_vision_options
+from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, flight_options, with_flight_options
 from companion.config import CompanionConfig, ConfigError, LinksConfig, assemble, load
 from companion.config.calibration import R_IMU_FRD, camera_toml, read_calibration
 from companion.io.operator import send_command
@@ -45,17 +45,18 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--mavlink", metavar="URL", help="autopilot, e.g. udpin:127.0.0.1:14540")
     run.add_argument("--datalink", metavar="DEVICE,BAUD", help="tanker's serial line, e.g. /dev/ttyUSB0,19600")
     run.add_argument("--camera", metavar="SOURCE", help="frame socket, e.g. tcp://127.0.0.1:14560")
-    vision_options(run)
+    flight_options(run)
     run.add_argument("--out", metavar="DIR", help="folder for recordings")
     run.add_argument("--run-dir", metavar="DIR", help=argparse.SUPPRESS)
     run.add_argument("--t0-ns", type=int, help=argparse.SUPPRESS)
     run.add_argument("--stop-after-hold", type=seconds, metavar="S", help="end after so many seconds of hold")
     run.add_argument("--stop-after-breakaway", type=seconds, metavar="S", help="end so many seconds after a breakaway")
+    run.add_argument("--stop-with-parent", action="store_true", help=argparse.SUPPRESS)
     run.set_defaults(action=_run)
 
     warm = commands.add_parser("warm-up", help="compile what a configuration needs, once after installation")
     warm.add_argument("config", metavar="CONFIG.toml", help="e.g. firmware_configs/sitl/docking.toml")
-    vision_options(warm)
+    flight_options(warm)
     warm.set_defaults(action=_warm_up)
 
     command = commands.add_parser("command", help="tell a running companion what the operator wants")
@@ -97,15 +98,14 @@ def _run(a: argparse.Namespace) -> int:
     options = app.RunOptions(
         name=path.stem, run_dir=Path(a.run_dir) if a.run_dir else None, t0_ns=a.t0_ns,
         stop_after_hold_s=a.stop_after_hold, stop_after_breakaway_s=a.stop_after_breakaway,
+        stop_with_parent=a.stop_with_parent,
     )
     return app.run(setup, options)
 
 
 def _warm_up(a: argparse.Namespace) -> int:
     path = Path(a.config)
-    config = load(path, CompanionConfig)
-    config = msgspec.structs.replace(config, vision=with_vision_options(config.vision, a))
-    app.warm_up(assemble(config, path))
+    app.warm_up(assemble(with_flight_options(load(path, CompanionConfig), a), path))
     return 0
 
 
@@ -116,7 +116,7 @@ def _with_options(config: CompanionConfig, a: argparse.Namespace) -> CompanionCo
     config = replace(config, links=replace(config.links, **given))
     if a.out is not None:
         config = replace(config, recorder=replace(config.recorder, out=a.out))
-    return replace(config, vision=with_vision_options(config.vision, a))
+    return with_flight_options(config, a)
 
 
 def _command(a: argparse.Namespace) -> int:

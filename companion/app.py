@@ -8,7 +8,9 @@
 from __future__ import annotations
 
 import math
+import select
 import signal
+import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +39,7 @@ class RunOptions:
     t0_ns: int | None = None
     stop_after_hold_s: float | None = None
     stop_after_breakaway_s: float | None = None
+    stop_with_parent: bool = False
 
 
 def warm_up(setup: Setup) -> None:
@@ -54,15 +57,23 @@ def enough(seconds: float | None) -> float:
 
 
 class Stop:
-    """Set by Ctrl-C, by SIGTERM or when the hold has lasted long enough."""
+    """Set by Ctrl-C and SIGTERM; ``with_parent``: and when standard input, a pipe that nobody writes to, is closed."""
 
-    def __init__(self) -> None:
-        self.asked = False
+    def __init__(self, *, with_parent: bool = False) -> None:
+        self._asked = False
+        self._with_parent = with_parent
         signal.signal(signal.SIGINT, self._ask)
         signal.signal(signal.SIGTERM, self._ask)
 
+    @property
+    def asked(self) -> bool:
+        """Return whether it is time to stop."""
+        if self._with_parent and select.select([sys.stdin], [], [], 0.0)[0]:
+            self._asked = True
+        return self._asked
+
     def _ask(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
+        self._asked = True
 
 
 def open_links(setup: Setup, clock: Clock, on_bytes: OnBytes, stack: ExitStack) -> tuple[MavlinkUdp, list[Watched]]:
@@ -99,7 +110,7 @@ def run(setup: Setup, options: RunOptions) -> int:
     """Run the service until it is stopped; raises ConfigError before it starts. Returns the exit code."""
     clock = MonotonicClock()
     t0_ns = clock.now_ns() if options.t0_ns is None else options.t0_ns
-    stop = Stop()
+    stop = Stop(with_parent=options.stop_with_parent)
     with ExitStack() as stack:
 
         def on_bytes(t_ns: int, data: bytes) -> None:

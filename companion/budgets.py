@@ -16,8 +16,9 @@ class Budget:
 BUDGETS: dict[str, Budget] = {
     "transport": Budget(30.0, "mid-exposure to the picture's arrival"),
     "vision": Budget(10.0, "detection, labeling, pose"),
-    "fusion": Budget(1.0, "blend with GPS"),
-    "guidance": Budget(3.0, "phase, path, law, guard"),
+    "fusion": Budget(1.0, "filter or blend"),
+    "integrity": Budget(1.0, "tests and separations of a frame"),
+    "guidance": Budget(3.0, "estimate, integrity, phase, path, law, guard"),
     "send": Budget(1.0, "setpoint to bytes on the link"),
     "exposure_to_setpoint": Budget(50.0, "mid-exposure to the first setpoint that rests on it"),
 }

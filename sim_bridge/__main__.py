@@ -16,7 +16,7 @@ from types import FrameType
 import msgspec
 
 from companion import __version__
-from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, vision_options, with_vision_options
+from companion.command_line import BAD_INPUT, INTERRUPTED, OneLineParser, flight_options, with_flight_options
 from companion.config import CompanionConfig, ConfigError, Setup, assemble
 from companion.config import load as load_toml
 from companion.io.console import FlightConsole
@@ -93,9 +93,7 @@ def _stick(p: argparse.ArgumentParser) -> None:
 
 def _flight(p: argparse.ArgumentParser, action: Callable[[argparse.Namespace], int]) -> None:
     _scenario(p)
-    vision_options(p)
-    p.add_argument("--law", choices=("attitude", "velocity", "surfaces"), help="docking law")
-    p.add_argument("--fusion", choices=("blend",), help="fusion of GPS and vision")
+    flight_options(p)
     p.add_argument("--out", metavar="DIR", help="folder for recordings (default: runs)")
     p.set_defaults(action=action)
 
@@ -136,9 +134,7 @@ def load(a: argparse.Namespace) -> tuple[Scenario, Setup]:
     if getattr(a, "datalink", None) is not None:
         given["datalink"] = f"{a.datalink},{scenario.datalink.rate_baud}"
     config = replace(config, links=replace(config.links, **given))
-    config = replace(config, vision=with_vision_options(config.vision, a))
-    if getattr(a, "law", None) is not None:
-        config = replace(config, guidance=replace(config.guidance, law=a.law))
+    config = with_flight_options(config, a)
     if getattr(a, "out", None) is not None:
         config = replace(config, recorder=replace(config.recorder, out=a.out))
     return scenario, assemble(config, path)

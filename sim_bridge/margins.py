@@ -5,7 +5,8 @@ Rules
 * A law holds under a variation when every one of the seeds docks and holds (``scoring``: 95 % of the hold inside the
   desired window, never outside the limit). Nothing is tuned for it: the configuration is the scenario's.
 * Seeds begin at 2001: neither tuned on nor reported.
-* Flights begin 5 m from the box and see by detections (``vision_input``), so that they are short and quick.
+* Flights begin 5 m from the box, go to it directly and see by detections (``vision_input``), so that they are short
+  and quick.
 * A ladder of values is searched by halves, so what lies above the first step that fails is not flown. The last step
   that holds is the margin; ``all`` means that the ladder ended before the law did.
 """
@@ -136,7 +137,7 @@ def fly_once(scenario: Scenario, setup: Setup) -> dict[str, Any]:
 def base(scenario_name: str, law: Law, hold_s: float) -> Flight:
     """Return the flight that is varied: near the box, by detections."""
     scenario = load_scenario(scenario_name)
-    setup = with_guidance(scenario.setup(), law=law, path_duration_s=PATH_S)
+    setup = with_guidance(scenario.setup(), law=law, path_duration_s=PATH_S, procedure="direct", self_test=False)
     near = replace(
         scenario, start_tanker_m=START_TANKER_M, vision_input="detections", hold_s=hold_s,
         timeout_s=hold_s + TIMEOUT_AFTER_HOLD_S,

@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from companion.command_line import flight_arguments
 from companion.config import ConfigError, Setup
 from companion.io.recorder import create_run_folder, read_records
 from companion.messages import NS, Phase, PhaseChange
@@ -36,17 +37,20 @@ BAD_INPUT = 2
 
 def companion_command(scenario: Scenario, setup: Setup, folder: Path, t0_ns: int) -> list[str]:
     """Return the command line of the companion's process."""
-    links, config = setup.config.links, setup.config
+    links = setup.config.links
     return [
         sys.executable, "-m", "companion", "run", scenario.companion, "--run-dir", str(folder), "--t0-ns", str(t0_ns),
         "--mavlink", links.mavlink, "--datalink", links.datalink, "--camera", links.camera,
-        "--pose", config.vision.solver, "--stop-after-hold", str(scenario.hold_s),
-        "--stop-after-breakaway", str(BREAKAWAY_WATCH_S),
+        *flight_arguments(setup.config), "--stop-after-hold", str(scenario.hold_s),
+        "--stop-after-breakaway", str(BREAKAWAY_WATCH_S), "--stop-with-parent",
     ]  # fmt: skip
 
 
 class CompanionProcess:
-    """The companion as a child: started when the wires are up, asked to stop at the end (``asked``)."""
+    """The companion as a child: started when the wires are up, asked to stop at the end (``asked``).
+
+    Its standard input is a pipe that closes when this process ends, however it does (``--stop-with-parent``).
+    """
 
     def __init__(self, command: list[str]) -> None:
         self._command = command
@@ -55,7 +59,7 @@ class CompanionProcess:
 
     def start(self) -> None:
         """Start the child."""
-        self._process = subprocess.Popen(self._command)
+        self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE)
 
     @property
     def code(self) -> int | None:
@@ -64,15 +68,17 @@ class CompanionProcess:
 
     def stop(self) -> None:
         """Ask the child to stop, and make it stop when it does not."""
-        if self._process is None or self._process.poll() is not None:
+        if self._process is None:
             return
-        self.asked = True
-        self._process.send_signal(signal.SIGTERM)
-        try:
-            self._process.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        with self._process as process:  # closes the pipe, and waits
+            if process.poll() is not None:
+                return
+            self.asked = True
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
 def fly_sitl(scenario: Scenario, setup: Setup, stick_url: str | None = None) -> Flown:

@@ -2,16 +2,22 @@
 
 import json
 import socket
+import subprocess
 import sys
+import time
+from contextlib import closing
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+import companion.__main__
 import sim_bridge.__main__
-from companion.config import ConfigError
+from companion.config import CompanionConfig, ConfigError, load
 from companion.messages import Phase, PhaseChange, RelativeState
 from sim_bridge import sitl
+from sim_bridge.datalink import PtyLink
 from sim_bridge.flight import Flown, fly
 from sim_bridge.scenario import load_scenario
 from sim_bridge.scoring import score
@@ -39,7 +45,7 @@ def flight(tmp_path):
 
 
 @pytest.fixture
-def companion(monkeypatch):
+def program(monkeypatch):
     """Let another program be the companion."""
 
     def use(code):
@@ -57,33 +63,76 @@ def companion(monkeypatch):
         ("raise SystemExit(2)", "the companion did not start; its message is above"),
     ],
 )
-def test_a_companion_that_breaks_is_no_flight_that_did_not_dock(flight, companion, code, words):
-    companion(code)
+def test_a_companion_that_breaks_is_no_flight_that_did_not_dock(flight, program, code, words):
+    program(code)
     with pytest.raises(ConfigError) as refused:
         fly_sitl(*flight)
     assert str(refused.value) == words
 
 
-def test_a_companion_that_never_answers_is_given_up_and_stopped(flight, companion, monkeypatch):
-    companion(SLEEPS)
+def test_a_companion_that_never_answers_is_given_up_and_stopped(flight, program, monkeypatch):
+    program(SLEEPS)
     monkeypatch.setattr(sitl, "START_S", 0.2)
     with pytest.raises(ConfigError, match="has not answered within 0 s; is udpin:"):
         fly_sitl(*flight)
 
 
-def test_a_companion_that_ends_before_it_records_did_not_dock(flight, companion):
-    companion("pass")
+def test_a_companion_that_ends_before_it_records_did_not_dock(flight, program):
+    program("pass")
     flown = fly_sitl(*flight)
     assert recorded_phases(flown.folder) == []
     assert not flown.summary["docked"]
     assert json.loads((flown.folder / "summary.json").read_text()) == flown.summary
 
 
-def test_ctrl_c_in_sitl_leaves_a_summary(flight, companion, monkeypatch):
+PARENT = """
+import sys
+import time
+from sim_bridge.sitl import CompanionProcess
+
+CompanionProcess(sys.argv[1:]).start()
+time.sleep(600)
+"""
+
+
+def test_a_companion_does_not_outlive_a_simulator_that_is_killed(flight, tmp_path):
+    """It stops by itself, as if it had been asked to: its recording is whole."""
+    scenario, setup = flight
+    folder = tmp_path / "run"
+    command = sitl.companion_command(scenario, setup, folder, 0)
+    with (closing(PtyLink(19600, tmp_path / "tanker")),
+          subprocess.Popen([sys.executable, "-c", PARENT, *command]) as parent):
+        wait_for(lambda: (folder / "events.jsonl").exists() and (folder / "events.jsonl").stat().st_size > 0)
+        parent.kill()
+    wait_for((folder / "summary.json").exists)
+    assert json.loads((folder / "summary.json").read_text())["phase"] == "standby"
+
+
+def wait_for(what):
+    end_s = time.monotonic() + 60.0
+    while not what():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+
+
+def test_the_companion_flies_what_the_command_line_says(flight, tmp_path):
+    """Whatever both commands let people choose reaches the companion's process."""
+    scenario, setup = flight
+    given = ["--law", "velocity", "--fusion", "blend", "--pose", "glsdc", "--detector", "corners",
+             "--labeling", "mutual_nearest", "--vision", "sv"]
+    scenario, asked = sim_bridge.__main__.load(sim_bridge.__main__.parser().parse_args(["sitl", "thesis", *given]))
+    command = sitl.companion_command(scenario, asked, tmp_path, 0)
+    arguments = companion.__main__.parser().parse_args(command[3:])
+    got = companion.__main__._with_options(load(Path(scenario.companion), CompanionConfig), arguments)
+    assert got == asked.config
+    assert got != setup.config
+
+
+def test_ctrl_c_in_sitl_leaves_a_summary(flight, program, monkeypatch):
     def interrupted(transport, stop):
         raise KeyboardInterrupt
 
-    companion(SLEEPS)
+    program(SLEEPS)
     monkeypatch.setattr("sim_bridge.serve.wait_for_companion", interrupted)
     flown = fly_sitl(*flight)
     assert flown.summary["interrupted"]

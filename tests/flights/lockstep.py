@@ -19,19 +19,30 @@ from sim_bridge.simulation import Arrivals, BoxTruth, Simulation, nominal_headin
 
 S = 1_000_000_000
 STEP_S = 0.005
+TO_HOLD = [Phase.JOIN, Phase.APPROACH, Phase.CONTACT, Phase.HOLD]
+"""Phases of the direct procedure without a self-test."""
+REFUELLING = [Phase.SELF_TEST, Phase.JOIN, Phase.OBSERVATION, Phase.PRE_CONTACT, *TO_HOLD[1:]]
+"""Phases of a whole refuelling to its hold."""
 
 
-def near(seed=201, *, camera="thesis", path_s=8.0, hold_s=8.0, **scenario_fields):
-    """Return scenario and setup of a docking that begins 5 m from the box, where vision alone is flown on."""
+def near(seed=201, *, camera="thesis", path_s=8.0, hold_s=8.0, fusion=None, **scenario_fields):
+    """Return scenario and setup of a docking that begins 5 m from the box: direct, without a self-test, so quick."""
     fields = {"start_tanker_m": (-33.0, -2.0, 12.0), "timeout_s": 60.0, **scenario_fields}
     scenario = msgspec.structs.replace(load_scenario(camera), seed=seed, hold_s=hold_s, **fields)
-    return scenario, with_guidance(scenario.setup(), path_duration_s=path_s)
+    setup = with_guidance(scenario.setup(), path_duration_s=path_s, procedure="direct", self_test=False)
+    return scenario, setup if fusion is None else with_fusion(setup, method=fusion)
 
 
 def with_guidance(setup, **changed):
     config = setup.config
     guidance = msgspec.structs.replace(config.guidance, **changed)
     return msgspec.structs.replace(setup, config=msgspec.structs.replace(config, guidance=guidance))
+
+
+def with_fusion(setup, **changed):
+    config = setup.config
+    fusion = msgspec.structs.replace(config.fusion, **changed)
+    return msgspec.structs.replace(setup, config=msgspec.structs.replace(config, fusion=fusion))
 
 
 def recording_in(setup, folder):

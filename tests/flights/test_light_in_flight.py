@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from lockstep import fly_with, near, with_guidance
+from lockstep import TO_HOLD, fly_with, near, with_guidance
 
 from companion.messages import Phase, VisionOutput
 from sim_bridge.scenario import load_scenario
@@ -14,7 +14,7 @@ from sim_bridge.scenario import load_scenario
 def test_docks_in_any_light(tmp_path, name):
     scenario, setup = near(231, picture=load_scenario(name).picture, hold_s=8.0)
     flight = fly_with(tmp_path, scenario, with_guidance(setup, path_duration_s=8.0))
-    assert flight.phases == [Phase.JOIN, Phase.APPROACH, Phase.HOLD]
+    assert flight.phases == TO_HOLD
     br = np.array(flight.truth_br)[np.array(flight.t_s) >= flight.entered_s(Phase.HOLD)]
     assert (np.abs(br) < setup.tanker.window.desired_m).all()
     seen = flight.of(VisionOutput)

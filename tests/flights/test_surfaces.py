@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from lockstep import S, fly_with, near, with_guidance
+from lockstep import REFUELLING, TO_HOLD, S, fly_with, near, with_guidance
 
 from companion.messages import Command, GuidanceOutput, OffsetSetpoint, Phase
 from sim_bridge.scenario import TimedCommand, load_scenario
@@ -19,7 +19,7 @@ def test_docks_on_offsets(tmp_path):
     scenario, setup = near(211, hold_s=HOLD_S, vision_input="detections")
     flight = fly_with(tmp_path, scenario, with_guidance(setup, law="surfaces", path_duration_s=8.0))
     assert flight.failure is None
-    assert flight.phases == [Phase.JOIN, Phase.APPROACH, Phase.HOLD]
+    assert flight.phases == TO_HOLD
     assert (np.abs(hold_of(flight)) < setup.tanker.window.desired_m).all()
     sent = flight.of(OffsetSetpoint)
     assert all(isinstance(o.setpoint, OffsetSetpoint) for o in flight.of(GuidanceOutput))
@@ -46,7 +46,7 @@ def test_docks_from_the_thesis_start(tmp_path, seed):
     """From [-50, -20, 30] m, GPS first and vision later, the thesis camera; sigma and mean of Tab. 1.2."""
     scenario = msgspec.structs.replace(load_scenario("thesis"), seed=seed, hold_s=30.0)
     flight = fly_with(tmp_path, scenario, with_guidance(scenario.setup(), law="surfaces"))
-    assert flight.phases == [Phase.JOIN, Phase.APPROACH, Phase.HOLD]
+    assert flight.phases == REFUELLING
     br = hold_of(flight)
     assert (np.abs(br) < scenario.setup().tanker.window.desired_m).all()
     assert (br.std(axis=0) < (0.217, 0.090, 0.088)).all()

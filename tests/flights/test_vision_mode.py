@@ -1,9 +1,9 @@
 """Simulated and real vision (thesis 4.2.5), switched by an operator in flight."""
 
 import numpy as np
-from lockstep import S, fly_with, near
+from lockstep import TO_HOLD, S, fly_with, near
 
-from companion.messages import Command, Phase, VisionMode, VisionModeChange, VisionOutput
+from companion.messages import Command, VisionMode, VisionModeChange, VisionOutput
 from sim_bridge.scenario import TimedCommand
 
 
@@ -15,7 +15,7 @@ def test_an_operator_switches_in_flight_and_back(tmp_path):
     flight = fly_with(tmp_path, scenario, setup)
     assert [(c.mode, round(c.t_ns / S, 1)) for c in flight.of(VisionModeChange)] == [
         (VisionMode.SIMULATED, 3.0), (VisionMode.REAL, 6.0)]
-    assert flight.phases == [Phase.JOIN, Phase.APPROACH, Phase.HOLD]
+    assert flight.phases == TO_HOLD
     simulated = [o for o in flight.of(VisionOutput) if 3.05 < o.t_ns / S < 5.95]
     assert len(simulated) >= 28
     assert all(np.isin(o.detections.uv_px, o.predicted_uv_px).all() for o in simulated)
