@@ -1,7 +1,8 @@
 """Both aircraft at one instant, from what each tells of itself; every fusion begins here.
 
 Positions are only differenced at one instant (at 206 m/s one millisecond is 0.21 m): samples of attitude, position and
-velocity are kept in histories and brought to the instant that is asked for.
+velocity are kept in histories and brought to the instant that is asked for. What cannot follow on what was before
+(``plausibility``) is not kept, and said.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 
 from companion.config import FusionConfig
 from companion.estimation.alignment import Attitude, AttitudeHistory, Motion, MotionHistory
+from companion.estimation.plausibility import AttitudeWatch, MotionWatch, Repetition, Verdict
 from companion.geometry import SE3, Vec
 from companion.messages import NS, GpsStatus, OwnAttitude, OwnPosition, Reject, TankerState, TimeStep
 
@@ -45,33 +47,62 @@ class Aircraft:
         self.T_frd_cam = T_frd_cam
         self._T_cam_frd = T_frd_cam.inverse()
         self.gps: GpsStatus | None = None
-        self.restart()
+        self._before: tuple[int | None, int | None, int | None] = (None, None, None)
+        self._begin()
 
     def restart(self) -> None:
-        """Forget every sample."""
+        """Forget every sample; how new the newest ones were stays known."""
+        self._before = self.attitude_ns, self.position_ns, self.tanker_ns
+        self._begin()
+
+    def _begin(self) -> None:
         self.own_motion = MotionHistory()
         self.own_attitude = AttitudeHistory()
         self.tanker_motion = MotionHistory()
         self.tanker_attitude = AttitudeHistory()
+        self._attitude_watch, self._tanker_attitude_watch = AttitudeWatch(), AttitudeWatch()
+        self._motion_watch, self._tanker_watch = MotionWatch(), MotionWatch()
+        self._attitude_content, self._position_content, self._tanker_content = Repetition(), Repetition(), Repetition()
 
     def own_attitude_event(self, m: OwnAttitude) -> Reject | None:
-        """Take the receiver's attitude; a stamp that does not go forward is rejected."""
-        if self.own_attitude.append(m.t_ns, m.R_ned_frd, m.omega_frd_rad_s):
-            return None
-        return Reject(m.t_ns, "attitude", "time_not_forward")
+        """Take the receiver's attitude; return what is odd about it, whether or not it counts."""
+        history = self.own_attitude
+        fault = history.fault(m.t_ns)
+        if not fault and self._attitude_content.lasts(m.t_ns, m.R_ned_frd, m.omega_frd_rad_s):
+            fault = "frozen"
+        if not fault:
+            verdict = self._attitude_watch.judge(m.t_ns, m.R_ned_frd, m.omega_frd_rad_s, history)
+            if verdict.taken:
+                history.add(m.t_ns, m.R_ned_frd, m.omega_frd_rad_s)
+            fault = verdict.reason
+        return Reject(m.t_ns, "attitude", fault) if fault else None
 
     def own_position_event(self, m: OwnPosition) -> Reject | None:
-        """Take the receiver's position and velocity; a stamp that does not go forward is rejected."""
-        if self.own_motion.append(m.t_ns, m.p_ned_m, m.v_ned_m_s):
-            return None
-        return Reject(m.t_ns, "position", "time_not_forward")
+        """Take the receiver's position and velocity; return what is odd about it, whether or not it counts."""
+        fault = self.own_motion.fault(m.t_ns)
+        if not fault and self._position_content.lasts(m.t_ns, m.p_ned_m, m.v_ned_m_s):
+            fault = "frozen"
+        if not fault:
+            verdict = self._motion_watch.judge(m.t_ns, m.p_ned_m, m.v_ned_m_s, self.own_motion)
+            _keep(self.own_motion, verdict, m)
+            fault = verdict.reason
+        return Reject(m.t_ns, "position", fault) if fault else None
 
     def tanker_event(self, m: TankerState) -> Reject | None:
-        """Take the tanker's state; a stamp that does not go forward is rejected."""
-        if not self.tanker_motion.append(m.t_ns, m.p_ned_m, m.v_ned_m_s):
-            return Reject(m.t_ns, "datalink", "time_not_forward")
-        self.tanker_attitude.append(m.t_ns, m.R_ned_tanker, m.omega_tanker_rad_s)
-        return None
+        """Take the tanker's state; return what is odd about it, whether or not it counts."""
+        attitude = (m.t_ns, m.R_ned_tanker, m.omega_tanker_rad_s)
+        fault = self.tanker_motion.fault(m.t_ns)
+        if not fault and self._tanker_content.lasts(m.t_ns, m.p_ned_m, m.v_ned_m_s, *attitude[1:]):
+            fault = "frozen"
+        if not fault:
+            turned = self._tanker_attitude_watch.judge(*attitude, self.tanker_attitude)
+            moved = self._tanker_watch.judge(m.t_ns, m.p_ned_m, m.v_ned_m_s, self.tanker_motion)
+            if turned.taken:
+                _keep(self.tanker_motion, moved, m)
+                if moved.taken or moved.carried:
+                    self.tanker_attitude.add(*attitude)
+            fault = turned.reason or moved.reason
+        return Reject(m.t_ns, "datalink", fault) if fault else None
 
     def gps_event(self, m: GpsStatus) -> None:
         """Take what the receiver's GPS says of itself."""
@@ -85,17 +116,20 @@ class Aircraft:
     @property
     def attitude_ns(self) -> int | None:
         """Return the stamp of the receiver's newest attitude."""
-        return self.own_attitude.newest_ns
+        newest_ns = self.own_attitude.newest_ns
+        return self._before[0] if newest_ns is None else newest_ns
 
     @property
     def position_ns(self) -> int | None:
         """Return the stamp of the receiver's newest position."""
-        return self.own_motion.newest_ns
+        newest_ns = self.own_motion.newest_ns
+        return self._before[1] if newest_ns is None else newest_ns
 
     @property
     def tanker_ns(self) -> int | None:
         """Return the stamp of the tanker's newest state."""
-        return self.tanker_motion.newest_ns
+        newest_ns = self.tanker_motion.newest_ns
+        return self._before[2] if newest_ns is None else newest_ns
 
     def oldest_ns(self) -> int:
         """Return the oldest of the newest samples: what an estimate rests on at best; 0 when a source has none."""
@@ -117,3 +151,13 @@ class Aircraft:
         T_ned_frd = SE3(a.own_attitude.R_ned_body, p_ned_tanker_frd_m)
         T_ned_tanker = SE3(a.tanker_attitude.R_ned_body, np.zeros(3))
         return self._T_cam_frd @ T_ned_frd.inverse() @ T_ned_tanker
+
+
+def _keep(history: MotionHistory, verdict: Verdict, m: OwnPosition | TankerState) -> None:
+    """Put a sample into a history by what is thought of it; one that is carried, where it should be."""
+    if verdict.taken:
+        history.add(m.t_ns, m.p_ned_m, m.v_ned_m_s)
+    elif verdict.carried:
+        expected = history.at(m.t_ns)
+        if expected is not None:
+            history.add(m.t_ns, expected.p_ned_m, m.v_ned_m_s)

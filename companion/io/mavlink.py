@@ -8,7 +8,8 @@ Rules
   that a phase has no use for a command is told by the phases, not in the answer. Every command addressed to us is
   acknowledged; what is addressed elsewhere is left alone.
 * Stamps of the autopilot's clock (milliseconds since boot) are brought to the companion's base with the offset that
-  TIMESYNC gives; before that, telemetry with a stamp is rejected as ``no_timesync``.
+  TIMESYNC gives; before that, telemetry with a stamp is rejected as ``no_timesync``. Where the autopilot's clock steps
+  against ours, a ``TimeStep`` comes before anything that is stamped the new way.
 * A setpoint that is not finite or not in range never leaves.
 """
 
@@ -20,12 +21,12 @@ from collections.abc import Callable
 from companion.config import LinksConfig
 from companion.io import telemetry
 from companion.io.mavlink_codec import MavlinkCodec, Message, dialect
-from companion.io.rate_requests import RateRequests
+from companion.io.rate_requests import GpsRateRequest, RateRequests
 from companion.io.status import HealthReport, status_text
 from companion.io.telemetry import SOURCE
 from companion.io.timesync import WRAP_MS, ClockOffset, nearest_wrapped
 from companion.io.transport import Address, UdpTransport
-from companion.messages import Event, Health, OperatorCommand, Reject, Setpoint
+from companion.messages import Event, Health, OperatorCommand, Reject, Setpoint, TimeStep
 from companion.ports import Clock
 
 __all__ = ["AutopilotLink", "MavlinkCodec", "MavlinkUdp", "Message", "dialect"]
@@ -39,6 +40,9 @@ TIMESYNC_FIRST_COUNT = 20
 SILENCE_NS = 3_000_000_000
 MAX_AGE_NS = 2_000_000_000
 MAX_AHEAD_NS = 50_000_000
+ODD_AGE_NS = 150_000_000
+ODD_AHEAD_NS = 20_000_000
+"""Telemetry that is older, or further ahead, than it ever should be says that a clock may have stepped."""
 
 STAMPED = {
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.own_attitude,
@@ -65,8 +69,10 @@ class AutopilotLink:
         self._replies: list[bytes] = []
         self._refused: list[Event] = []
         self._rates = RateRequests(tuple(STAMPED))
+        self._gps_rate = GpsRateRequest()
         self._timesync_ns = 0
         self._timesyncs = 0
+        self._odd = False
 
     @property
     def offset_ns(self) -> int | None:
@@ -86,6 +92,7 @@ class AutopilotLink:
 
         ``from_autopilot`` False: the bytes came another way than the autopilot's do, so no telemetry is believed.
         """
+        self.clock_offset.slew(now_ns)
         before = dict(self.codec.rejects)
         frames = self.codec.feed(data)
         events, self._refused = self._refused, []
@@ -119,14 +126,33 @@ class AutopilotLink:
             return t_ns if isinstance(t_ns, Reject) else STAMPED[kind](message, t_ns)
         if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             return telemetry.autopilot_status(message, now_ns)
+        if kind == dialect.MAVLINK_MSG_ID_GPS_RAW_INT:
+            self._gps_rate.heard(now_ns)
+            return telemetry.gps_status(message, self._gps_stamp(message.time_usec, now_ns))
         if kind == dialect.MAVLINK_MSG_ID_TIMESYNC:
-            reason = self.clock_offset.answer(message.ts1, message.tc1, now_ns)
-            return Reject(now_ns, SOURCE, reason) if reason else None
+            return self._timesync(message.ts1, message.tc1, now_ns)
         if kind == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             to_us = message.target_component in (0, self._us[1])
-            if to_us and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
+            interval = to_us and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+            if interval and not self._gps_rate.answered():
                 self._rates.answered(message.result, now_ns)
         return None
+
+    def _timesync(self, ts1_ns: int, tc1_ns: int, now_ns: int) -> Event | None:
+        reason = self.clock_offset.answer(ts1_ns, tc1_ns, now_ns)
+        step_ns = self.clock_offset.take_step()
+        if step_ns:
+            return TimeStep(now_ns, SOURCE, -step_ns)
+        if reason is None:
+            return None
+        if self.clock_offset.doubtful:
+            self._hurry(now_ns)
+        return Reject(now_ns, SOURCE, reason)
+
+    def _hurry(self, now_ns: int) -> None:
+        """Ask for the autopilot's clock now, and soon again."""
+        self._timesyncs = 0
+        self._timesync_ns = min(self._timesync_ns, now_ns + TIMESYNC_FIRST_NS)
 
     def is_silent(self, now_ns: int) -> bool:
         """Tell whether the autopilot has not been heard for 3 s, or never."""
@@ -135,6 +161,7 @@ class AutopilotLink:
     def _heard(self, now_ns: int) -> None:
         if self.is_silent(now_ns):
             self._rates.start(now_ns)
+            self._gps_rate.start(now_ns)
             self._timesyncs = 0
         self.last_heard_ns = now_ns
 
@@ -144,10 +171,21 @@ class AutopilotLink:
             return Reject(now_ns, SOURCE, "no_timesync", "the autopilot's clock is not known yet")
         expected_ms = self.to_autopilot_ns(now_ns) // NS_PER_MS
         t_ns = self.to_companion_ns(nearest_wrapped(boot_ms, WRAP_MS, expected_ms) * NS_PER_MS)
+        odd = not now_ns - ODD_AGE_NS <= t_ns <= now_ns + ODD_AHEAD_NS
+        if odd and not self._odd:
+            self._hurry(now_ns)
+        self._odd = odd
         if now_ns - MAX_AGE_NS <= t_ns <= now_ns + MAX_AHEAD_NS:
             return t_ns
         reason = "future_stamp" if t_ns > now_ns else "stale_stamp"
         return Reject(now_ns, SOURCE, reason, f"{(t_ns - now_ns) * 1e-9:+.3f} s from now")
+
+    def _gps_stamp(self, time_us: int, now_ns: int) -> int:
+        """Return the instant of a fix: its own where that is on the autopilot's clock (it may be UTC), else now."""
+        if self.offset_ns is None:
+            return now_ns
+        t_ns = self.to_companion_ns(time_us * 1000)
+        return t_ns if now_ns - MAX_AGE_NS <= t_ns <= now_ns else now_ns
 
     def _command(self, message: Message, now_ns: int) -> Event | None:
         if (message.target_system, message.target_component) != self._us:
@@ -179,7 +217,7 @@ class AutopilotLink:
 
     def outgoing(self, now_ns: int) -> bytes:
         """Return the answers that nobody has taken yet, and the periodic messages that are due."""
-        messages = self._rates.due(now_ns, self._autopilot)
+        messages = self._rates.due(now_ns, self._autopilot) + self._gps_rate.due(now_ns, self._autopilot)
         messages += self._health.due(now_ns)
         if now_ns >= self._timesync_ns:
             first = self._timesyncs < TIMESYNC_FIRST_COUNT
@@ -210,7 +248,7 @@ def foreign(message: Message, now_ns: int) -> Reject | None:
     """Return a Reject for telemetry that we would have used from the autopilot; other traffic is nobody's fault."""
     kind = message.get_msgId()
     is_autopilot = kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and message.autopilot != dialect.MAV_AUTOPILOT_INVALID
-    if kind not in STAMPED and not is_autopilot:
+    if kind not in STAMPED and kind != dialect.MAVLINK_MSG_ID_GPS_RAW_INT and not is_autopilot:
         return None
     who = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
     return Reject(now_ns, SOURCE, "foreign_source", f"{message.get_type()} from {who} is not our autopilot's")
@@ -237,9 +275,12 @@ class MavlinkUdp:
 
     def poll(self) -> list[Event]:
         """Return the events received since the last call, without waiting; send what is due."""
+        datagrams = self._transport.poll()
+        # Read behind the socket: a process that is held up in between must not stamp an arrival before it happened,
+        # or an answer of TIMESYNC binds the clock to where it never was.
         now_ns = self._clock.now_ns()
         events = self.link.receive(b"", now_ns)  # what has been refused since, even when nothing comes in
-        for data, sender in self._transport.poll():
+        for data, sender in datagrams:
             events.extend(self._datagram(data, sender, now_ns))
         if self._transport.peer is not None:
             self._transport.send(self.link.outgoing(now_ns))

@@ -41,7 +41,7 @@ def fed(relative_m, until_ms=200, gps_bias=(0.0, 0.0, 0.0)):
     aircraft, b = new()
     for t_ns in range(0, until_ms * MS + 1, 20 * MS):
         p_own, p_tanker = place(t_ns, relative_m)
-        assert aircraft.own_attitude_event(OwnAttitude(t_ns, R_OWN, np.zeros(3))) is None
+        assert aircraft.own_attitude_event(OwnAttitude(t_ns, R_OWN, np.full(3, 1e-16 * t_ns))) is None
         assert aircraft.own_position_event(OwnPosition(t_ns, p_own + np.asarray(gps_bias), V_OWN)) is None
         assert aircraft.tanker_event(TankerState(t_ns, p_tanker, V_TANKER, R_TANKER, np.zeros(3))) is None
         assert b.positions() == []
