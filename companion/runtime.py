@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from companion.config import Setup
+from companion.latencies import LatencyMonitor
 from companion.messages import (
     NS,
     CameraFrame,
@@ -78,6 +79,7 @@ class Service:
         """``clock`` gives the companion's time; ``watch`` sees every output, for a display."""
         self.pipeline = Pipeline(setup, self._mark)
         self._clock, self._sink, self._recorder, self._watch = clock, sink, recorder, watch
+        self._latencies = LatencyMonitor()
         self._stage_start_ns = 0
         self._t_ns = 0
         self._pending_exposure_ns: int | None = None
@@ -104,6 +106,9 @@ class Service:
                 self._pending_exposure_ns = output.t_ns
             elif isinstance(output, PhaseChange):
                 self.phase_since_ns = output.t_ns
+        self._latencies.event(event, self._t_ns)
+        if isinstance(event, Tick):
+            outputs = [*outputs, *self._latencies.due(self._t_ns)]
         self._recorder.event(event)  # after the setpoint has left: recording never delays it
         for output in outputs:
             self._recorder.output(output)

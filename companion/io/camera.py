@@ -32,6 +32,7 @@ from companion.ports import Clock, EventSource
 HEAD = struct.Struct("<4sHHH6xIq")
 ENDPOINT = re.compile(r"tcp://[^:/\s]+:(?P<port>\d{1,5})")
 MAGIC = b"RCFM"
+SEQUENCES = 1 << 32
 VERSION = 1
 SOURCE = "camera"
 MAX_AGE_NS = 2_000_000_000
@@ -48,7 +49,7 @@ def encode_frame_message(frame: CameraFrame) -> bytes:
         msg = f"a picture is (h, w, 3) uint8, not {image.shape} {image.dtype}"
         raise ValueError(msg)
     height, width = image.shape[:2]
-    return HEAD.pack(MAGIC, VERSION, width, height, frame.sequence & 0xFFFFFFFF, frame.t_ns) + image.tobytes()
+    return HEAD.pack(MAGIC, VERSION, width, height, frame.sequence % SEQUENCES, frame.t_ns) + image.tobytes()
 
 
 def decode_frame_message(data: bytes, config: CameraConfig, now_ns: int) -> CameraFrame | Reject:
@@ -89,8 +90,9 @@ class CameraReceiver:
         frame = decode_frame_message(data, self._config, now_ns)
         if isinstance(frame, Reject):
             return frame
-        if self._last_sequence is not None and frame.sequence > self._last_sequence:
-            self.missed += frame.sequence - self._last_sequence - 1
+        if self._last_sequence is not None:
+            ahead = (frame.sequence - self._last_sequence) % SEQUENCES
+            self.missed += ahead - 1 if 0 < ahead < SEQUENCES // 2 else 0
         self._last_sequence = frame.sequence
         if offset_ns is None:
             return Reject(now_ns, SOURCE, "no_timesync", "the camera's clock is not known yet")

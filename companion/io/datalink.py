@@ -32,6 +32,7 @@ import numpy as np
 
 from companion.config import ConfigError
 from companion.geometry import euler_from_rotation, rotation_from_euler
+from companion.io.arrival import ArrivalBounds
 from companion.io.serial_port import Port, explain_port, open_port, parse_spec
 from companion.io.timesync import nearest_wrapped
 from companion.messages import Event, Reject, TankerState
@@ -42,8 +43,8 @@ LAYOUT = struct.Struct("<B13f")
 CHECKSUM = struct.Struct("<H")
 FRAME_SIZE = LAYOUT.size + CHECKSUM.size
 TIME_PERIOD_NS = 256_000_000_000
-MAX_AGE_NS = 5_000_000_000
-MAX_AHEAD_NS = 100_000_000
+MAX_AGE_NS = 2_000_000_000
+BAUD = 19_600
 SOURCE = "datalink"
 
 _ANGLE = math.pi + 1e-6  # a float32 rounds pi up
@@ -194,45 +195,39 @@ class FrameParser:
 class TankerReceiver:
     """Bytes of the datalink to events: the same for the serial line and for lockstep.
 
-    ``altitude0_m``: height of the local origin. Frames older than 5 s, from the future or not newer than the last one
-    are rejected, and so is everything while the GPS clock's offset is unknown.
+    ``altitude0_m``: height of the local origin; ``baud`` of the line. Frames whose stamps contradict their arrival
+    (``bounds``) or are older than 2 s are rejected, and so is everything while the GPS clock's offset is unknown. Order
+    is the histories' business.
     """
 
-    def __init__(self, altitude0_m: float) -> None:
+    def __init__(self, altitude0_m: float, baud: int = BAUD) -> None:
         self.parser = FrameParser()
+        self.bounds = ArrivalBounds(baud)
         self._altitude0_m = altitude0_m
-        self._last_ns: int | None = None
 
     def receive(self, data: bytes, now_ns: int, offset_ns: int | None) -> list[Event]:
         """Take bytes at ``now_ns`` (companion's base); ``offset_ns`` is GPS clock minus companion's clock."""
+        since_ns = self.bounds.read(now_ns)
         before = dict(self.parser.rejects)
         frames = self.parser.feed(data)
         events: list[Event] = []
         if before != dict(self.parser.rejects):
             lost = self.parser.rejects - Counter(before)
             events += [Reject(now_ns, SOURCE, reason, f"{n} in {len(data)} bytes") for reason, n in lost.items()]
-        events += [self._event(frame, now_ns, offset_ns) for frame in frames]
+        events += [self._event(frame, since_ns, now_ns, offset_ns) for frame in frames]
         return events
 
-    def _event(self, frame: TankerFrame, now_ns: int, offset_ns: int | None) -> Event:
+    def _event(self, frame: TankerFrame, since_ns: int, now_ns: int, offset_ns: int | None) -> Event:
         if offset_ns is None:
             return Reject(now_ns, SOURCE, "no_timesync", "the offset of the GPS clock is not known yet")
         gps = frame.to_state(now_ns + offset_ns, self._altitude0_m)
         t_ns = gps.t_ns - offset_ns
-        reason = self._untimely(t_ns, now_ns)
+        reason = self.bounds.fault(t_ns, FRAME_SIZE, since_ns, now_ns)
+        if not reason and t_ns < now_ns - MAX_AGE_NS:
+            reason = "stale_stamp"
         if reason:
             return Reject(now_ns, SOURCE, reason, f"stamp {(t_ns - now_ns) * 1e-9:+.3f} s from now")
-        self._last_ns = t_ns
         return TankerState(t_ns, gps.p_ned_m, gps.v_ned_m_s, gps.R_ned_tanker, gps.omega_tanker_rad_s)
-
-    def _untimely(self, t_ns: int, now_ns: int) -> str:
-        if t_ns > now_ns + MAX_AHEAD_NS:
-            return "future_stamp"
-        if t_ns < now_ns - MAX_AGE_NS:
-            return "stale_stamp"
-        if self._last_ns is not None and t_ns <= self._last_ns:
-            return "out_of_order"
-        return ""
 
 
 class SerialDatalink:
@@ -246,8 +241,8 @@ class SerialDatalink:
     LONGEST_BACK_OFF_NS = 5_000_000_000
 
     def __init__(self, spec: str, clock: Clock, altitude0_m: float, offset_ns: Callable[[], int | None]) -> None:
-        self.receiver = TankerReceiver(altitude0_m)
         self._device, self._baud = parse_spec("datalink", spec)
+        self.receiver = TankerReceiver(altitude0_m, self._baud)
         self._clock = clock
         self._offset_ns = offset_ns
         self._back_off_ns = self.FIRST_BACK_OFF_NS
@@ -269,7 +264,8 @@ class SerialDatalink:
             data = self._port.read(4096)
         except OSError as error:
             return [self._lost(now_ns, error)]
-        return self.receiver.receive(data, now_ns, self._offset_ns()) if data else []
+        # Read behind the device: what has come while the process was held up in between has not come in the future.
+        return self.receiver.receive(data, self._clock.now_ns(), self._offset_ns())
 
     def _lost(self, now_ns: int, error: OSError) -> Reject:
         self._let_go()
