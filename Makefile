@@ -7,7 +7,7 @@ SEED ?= 1
 ARGS ?=
 KERNELS := $(shell grep -rlE "njit|@kernel" companion sim_bridge --include=*.py)
 
-.PHONY: help setup sitl fly view study test test-slow check bench figures clean
+.PHONY: help setup sitl fly view study consistency accuracy integrity test test-slow check bench figures clean
 
 help:
 	@echo "make sitl     fly a docking: simulator and companion as two processes on the wall clock (about two minutes)"
@@ -16,6 +16,7 @@ help:
 	@echo "make study    chapter 7 of the thesis again: a report in runs (minutes; ARGS='--quick' for a look)"
 	@echo "make test     the tests        make check    style, types, imports"
 	@echo "make bench    speed and accuracy figures"
+	@echo "make consistency, accuracy, integrity   many flights: tables and pictures in docs (10 to 25 minutes each)"
 	@echo "make figures  the pictures of the README"
 	@echo "SCENARIO=docking|thesis|moderate|turning|night|...|FILE SEED=1 ARGS='--pose glsdc'"
 
@@ -59,6 +60,9 @@ view: $(VENV)/.run
 
 study: $(VENV)/.kernels
 	@$(BIN)/sim-bridge study --seed $(SEED) $(ARGS)
+
+consistency accuracy integrity: $(VENV)/.kernels
+	@$(BIN)/sim-bridge $@ --out docs $(ARGS)
 
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/python -m pytest -q $(ARGS)

@@ -1,0 +1,1 @@
+"""Many flights, and what they say of estimate and integrity: consistency, accuracy, false "may dock"."""

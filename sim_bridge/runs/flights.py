@@ -1,0 +1,52 @@
+"""The flights that are flown by the hundred: by detections, from near or from where the thesis begins."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from companion.config import Setup
+from sim_bridge.margins import PATH_S, START_TANKER_M, with_guidance
+from sim_bridge.runs.many import Job
+from sim_bridge.scenario import Scenario, load_scenario
+from sim_bridge.sensor_conditions import AircraftSensors, Outage
+
+Method = Literal["filter", "blend"]
+Turbulence = Literal["light", "moderate"]
+replace = msgspec.structs.replace
+
+FROM_NEAR_S = 25.0
+"""From the start 5 m off to the hold at the latest."""
+
+
+def near(name: str, seed: int, hold_s: float, **scenario_fields: Any) -> tuple[Scenario, Setup]:
+    """Return a flight of a scenario that begins 5 m from the box, the thesis' one path, by detections."""
+    fields = {"start_tanker_m": START_TANKER_M, "hold_s": hold_s, "timeout_s": hold_s + FROM_NEAR_S, **scenario_fields}
+    scenario = replace(load_scenario(name), seed=seed, vision_input="detections", **fields)
+    setup = with_guidance(scenario.setup(), procedure="direct", self_test=False, path_duration_s=PATH_S)
+    return scenario, setup
+
+
+def far(name: str, seed: int, **scenario_fields: Any) -> tuple[Scenario, Setup]:
+    """Return a flight of a scenario as it is, by detections unless told otherwise."""
+    scenario = replace(load_scenario(name), seed=seed, **{"vision_input": "detections", **scenario_fields})
+    return scenario, scenario.setup()
+
+
+def fused_by(setup: Setup, method: Method) -> Setup:
+    """Choose the fusion."""
+    return replace(setup, config=replace(setup.config, fusion=replace(setup.config.fusion, method=method)))
+
+
+def without_gps(job: Job, from_s: float) -> Job:
+    """Return the flight with both aircraft's GPS out from an instant to the end."""
+    scenario = job.scenario
+    out = (Outage(from_s=from_s, until_s=scenario.timeout_s + 1.0),)
+    sensors = scenario.sensors
+
+    def blind(aircraft: AircraftSensors) -> AircraftSensors:
+        return replace(aircraft, gps_outages=(*aircraft.gps_outages, *out))
+
+    sensors = replace(sensors, receiver=blind(sensors.receiver), tanker=blind(sensors.tanker))
+    return Job(f"{job.label}, no GPS", replace(scenario, sensors=sensors), job.setup)
