@@ -30,7 +30,7 @@ fault                meaning
 ``height_datum``     heights of the two aircraft differ from what the vision sees: another datum or pressure setting
 ``gps_vision``       positions across do; ``gps`` as a note after they had agreed
 ``residual``         the markers fit no pose for half of the last frames
-``innovation <s>``   measurements of source s are not what the filter foretells; a note for GPS
+``innovation <s>``   measurements of source s are not what the filter foretells; a note for GPS and single markers
 ==================== ==================================================================================================
 """
 
@@ -115,7 +115,6 @@ class IntegrityMonitor:
             self._innovation.see(output)
         elif isinstance(output, FilterState):
             self._filtered = True
-            self._attitude.state(output)
             self._sigma_attitude_rad = float(np.sqrt(output.sigma[6:9].max() ** 2 + output.sigma[12:15].max() ** 2))
 
     def _vision_output(self, seen: VisionOutput) -> None:

@@ -8,20 +8,24 @@ Rules
   ``agreed_s``, is a fault: ``height_datum`` (down: QNH, geoid for ellipsoid) or ``gps_vision`` (across).
 * Once they have agreed for that long, a difference is the GPS' fault, and no reason to stop: vision has redundancy
   that is tested in every frame, two GPS have none. It is told as the note ``gps``.
-* The rotation of a pose against the INS attitudes: its mean over the window is the mount's (``boresight``); when the
-  quick mean leaves it, an attitude has gone (``attitude``). Only poses that found their own rotation count.
+* The rotation of a pose against attitudes of the INS and nominal mount: its mean over the window is the mount's
+  (``boresight``), also when a filter corrects it: a mount that has moved may move on. When the quick mean leaves that
+  of the window, an attitude has gone (``attitude``). Only poses that found their own rotation count.
 * Normalised innovations squared (Bar-Shalom, Li, Kirubarajan 2001, 5.4): a mean of ``TOO_LARGE`` times the degrees of
-  freedom, or more than half of a source's measurements refused, is ``innovation <source>``; of GPS a note.
+  freedom, or more than half of a source's measurements refused, is ``innovation <source>``. A note where something
+  else judges: GPS, and single markers that the filter leaves out.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from companion.config import IntegrityConfig
 from companion.estimation.integrity_alarm import Alarm, RunningMean
 from companion.geometry import Mat, Vec, log_so3, skew
-from companion.messages import NS, FilterState, FilterUpdate, FusedPose, PoseMeasurement
+from companion.messages import NS, FilterUpdate, FusedPose, PoseMeasurement
 
 QUICK_S = 0.25
 SOURCE_ON_S, SOURCE_OFF_S = 1.0, 3.0
@@ -34,8 +38,9 @@ MOST_M = 100.0
 TOO_LARGE = 4.0
 REFUSED = 0.5
 LEAST_UPDATES = 10.0
-BORESIGHT = slice(12, 15)
-"""Place of the boresight in ``FilterState.x`` (``filter_state``)."""
+REFUSALS = frozenset({"gate", "geometry", "wider", "position_anew", "bias_anew"})
+"""Reasons of the filter that say that a measurement did not fit; others say that there was nothing to take."""
+JUDGED_ELSEWHERE = ("gps", "marker")
 
 
 class GpsTest:
@@ -101,8 +106,8 @@ class AttitudeTest:
         """Forget every frame."""
         self._turn = RunningMean(3, self._config.window_s)  # camera axes, R_vision = exp(turn) R_ins
         self._quick = RunningMean(3, QUICK_S)
+        self._left = RunningMean(3, QUICK_S)  # the same against the estimate
         self._away = RunningMean(3, QUICK_S)
-        self._found: Vec = np.zeros(3)
         self._boresight, self._attitude = Alarm(TURN_ON_S, SOURCE_OFF_S), Alarm(TURN_ON_S, SOURCE_OFF_S)
         self.cov_turn: Mat = np.zeros((3, 3))
         self.cov_place: Mat = np.zeros((3, 3))
@@ -116,20 +121,17 @@ class AttitudeTest:
     @property
     def turned_m(self) -> Vec:
         """Return what the place (3,), camera axes, is off by if the mount is off as the vision says."""
-        return self.lever @ self._quick.mean
+        return self.lever @ self._left.mean
 
     @property
     def away_m(self) -> Vec:
         """Return the vision's place less the estimate's (3,), camera axes."""
         return self._away.mean
 
-    def state(self, state: FilterState) -> None:
-        """Take the boresight that the filter has found, and corrects."""
-        self._found = state.x[BORESIGHT]
-
     def see(self, pose: PoseMeasurement, fused: FusedPose, noise_share: float) -> None:
         """Take a pose that found its own rotation; ``noise_share``: of its covariance, what does not average out."""
-        turn = log_so3(pose.T_cam_tanker.R @ fused.T_cam_tanker.R.T)
+        turn = log_so3(pose.T_cam_tanker.R @ fused.T_cam_tanker_gps.R.T)
+        self._left.add(pose.t_ns, log_so3(pose.T_cam_tanker.R @ fused.T_cam_tanker.R.T))
         cov = noise_share * pose.cov
         self._away.add(pose.t_ns, pose.T_cam_tanker.t - fused.T_cam_tanker.t)
         self._turn.add(pose.t_ns, turn)
@@ -138,7 +140,7 @@ class AttitudeTest:
         self.lever = skew(pose.T_cam_tanker.t)
         sigma = np.sqrt(np.diag(self.cov_turn))
         limit = np.maximum(self._config.boresight_rad, self._limit * sigma)
-        off = np.abs(self._turn.mean + self._found)
+        off = np.abs(self._turn.mean)
         self._boresight.update(pose.t_ns, fails=bool((off > limit).any() and self._turn.count >= 3.0))
         left = np.abs(self._quick.mean - self._turn.mean)
         self._attitude.update(pose.t_ns, fails=bool((left > 0.5 * limit).any()))
@@ -158,9 +160,11 @@ class InnovationTest:
 
     def see(self, update: FilterUpdate) -> None:
         """Take one measurement."""
+        refused = update.reason in REFUSALS
+        if not refused and (update.reason or not math.isfinite(update.nis)):
+            return
         mean = self._means.setdefault(update.source, RunningMean(3, self._config.window_s))
         alarm = self._alarms.setdefault(update.source, Alarm(SOURCE_ON_S, SOURCE_OFF_S))
-        refused = bool(update.reason)
         taken = np.array([0.0, 0.0, 1.0]) if refused else np.array([update.nis, float(update.dof), 0.0])
         mean.add(update.t_ns, taken)
         nis, dof, share = mean.mean.tolist()
@@ -171,5 +175,5 @@ class InnovationTest:
     def failing(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return faults and notes."""
         names = [source for source, alarm in self._alarms.items() if alarm.raised]
-        faults = tuple(f"innovation {s}" for s in names if not s.startswith("gps"))
-        return faults, tuple(f"innovation {s}" for s in names if s.startswith("gps"))
+        faults = tuple(f"innovation {s}" for s in names if not s.startswith(JUDGED_ELSEWHERE))
+        return faults, tuple(f"innovation {s}" for s in names if s.startswith(JUDGED_ELSEWHERE))
