@@ -25,6 +25,7 @@ from sim_bridge.faults import parse_fault
 from sim_bridge.flight import Flown, fly
 from sim_bridge.linearize import command as linearize
 from sim_bridge.plant.fdm import PlantError
+from sim_bridge.runs.options import options as run_options
 from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.serve import serve
 from sim_bridge.sitl import fly_sitl
@@ -65,6 +66,12 @@ def parser() -> argparse.ArgumentParser:
     m.add_argument("--quick", action="store_true", help="two seeds and short holds")
     m.add_argument("--out", metavar="FILE", help="write the table to a file as well")
     m.set_defaults(action=_margins)
+    x = commands.add_parser("faults", help="fly the fault matrix in lockstep; print a table of what came of each fault")
+    x.add_argument("--seed", type=int, default=1, help="seed of all flights (default: 1)")
+    x.add_argument("--only", metavar="WORD", default="", help="the cells whose name has this in it, e.g. camera-")
+    x.add_argument("--out", metavar="FILE", help="write the table to a file as well")
+    x.set_defaults(action=_faults)
+    run_options(commands, _runs)
     lin = commands.add_parser("linearize", help="trim and linearise an aircraft; print A, B, modes")
     linearize.options(lin)
     lin.set_defaults(action=_linearize)
@@ -200,6 +207,28 @@ def _margins(a: argparse.Namespace) -> int:
     print(table)
     if out is not None:
         out.write_text(table + "\n", encoding="utf-8")
+    return DOCKED
+
+
+def _faults(a: argparse.Namespace) -> int:
+    from sim_bridge.fault_matrix import MATRIX, MORE, table  # noqa: PLC0415  flights do without it
+
+    cells = tuple(cell for cell in (*MATRIX, *MORE) if a.only in cell.name)
+    if not cells or a.seed < 0:
+        msg = f"--seed {a.seed}: must not be negative" if cells else f"--only {a.only}: no fault has this in its name"
+        raise ConfigError(msg)
+    out = None if a.out is None else writable(Path(a.out))
+    text = table(a.seed, lambda line: print(line, file=sys.stderr, flush=True), cells)
+    print(text)
+    if out is not None:
+        out.write_text(text + "\n", encoding="utf-8")
+    return DOCKED
+
+
+def _runs(a: argparse.Namespace) -> int:
+    from sim_bridge.runs.command import run  # noqa: PLC0415  it loads matplotlib, which flights do without
+
+    print(run(a))
     return DOCKED
 
 

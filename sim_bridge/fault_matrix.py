@@ -17,7 +17,6 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -145,7 +144,8 @@ MORE: tuple[Cell, ...] = (
     _cell("datalink.off@approach+3", BREAKAWAY, "where the tanker goes is not told any more",
           "datalink stale", name="approach-datalink-off"),
     _cell("gps.wrong@approach+3", HELD, "vision carries the position", name="approach-gps-wrong", watch_s=15.0),
-    _cell("attitude.off@approach+3", BREAKAWAY, "without attitude there is no estimate", "attitude stale", name="approach-attitude-off"),
+    _cell("attitude.off@approach+3", BREAKAWAY, "without attitude there is no estimate", "attitude stale",
+          name="approach-attitude-off"),
 )
 """What else goes wrong."""
 
@@ -277,7 +277,3 @@ def table(seed: int, tell: Callable[[str], None], cells: tuple[Cell, ...] = MATR
         tell(rows[-1])
     return "\n".join([HEAD, *rows])
 
-
-def write_table(path: Path, text: str) -> None:
-    """Write the table to a file."""
-    path.write_text(text + "\n", encoding="utf-8")
