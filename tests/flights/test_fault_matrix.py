@@ -1,0 +1,46 @@
+"""The fault matrix in lockstep: each cell a named flight; its expected result stands in ``sim_bridge.fault_matrix``.
+
+Each begins near the box, docks by the refuelling's phases, and suffers its fault in the hold (``approach-``: on the way).
+Expected: it ends as its cell says (held, breakaway and for what cause, or standby), the receptacle is never outside the
+limit box below the tanker, the receiver never in the tanker's space, no setpoint wild, what is refused is counted, and a
+breakaway begins within 0.5 s of its cause.
+"""
+
+import pytest
+
+from sim_bridge.fault_matrix import MATRIX, MORE, fly_cell, row
+
+SEED = 401
+
+
+def cells(which):
+    return [pytest.param(cell, id=cell.name) for cell in which]
+
+
+def check(cell, seed):
+    flight = fly_cell(cell, seed)
+    told = f"{row(flight)}\n{flight.safety}\n{dict(flight.rejects)}\n{[(c.t_ns / 1e9, str(c.new)) for c in flight.phases]}"
+    assert flight.fault_ns is not None, told
+    assert flight.safe, told
+    assert flight.as_it_has_to, told
+    assert flight.in_time, told
+
+
+@pytest.mark.parametrize("cell", cells(MATRIX))
+def test_matrix(cell):
+    """{camera, datalink, gps, attitude, heartbeat} x {off, stuck, garbage, wrong, slow, delayed, intermittent}."""
+    check(cell, SEED)
+
+
+@pytest.mark.parametrize("cell", cells(MORE))
+def test_more(cell):
+    """Lights, boom over the lens, mount, height datum, other vehicles on the link, clocks, and faults in the approach."""
+    check(cell, SEED + 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(SEED + 2, SEED + 7))
+@pytest.mark.parametrize("cell", cells((*MATRIX, *MORE)))
+def test_other_seeds(cell, seed):
+    """The same with other gusts and other noise."""
+    check(cell, seed)
