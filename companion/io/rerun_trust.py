@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import rerun as rr
 
+from companion.estimation.filter_state import BORESIGHT, GPS_BIAS, LAG
 from companion.io.health_text import stage_line, stage_state
 from companion.io.rerun_scene import AXES, DESIRED, DETECTED, ESTIMATE, LIMIT, REFERENCE, TRUTH, SceneStream
 from companion.messages import FilterState, FilterUpdate, Health, InputLatency, Integrity, StageHealth
@@ -29,9 +30,9 @@ REJECTED = "rejected"
 PALETTE = (ESTIMATE, DETECTED, DESIRED, REFERENCE, LIMIT, TRUTH)
 
 FILTER_PLOTS = (
-    ("gps_bias", slice(9, 12), ("north", "east", "down"), 1.0),
-    ("boresight", slice(12, 15), ("roll", "pitch", "yaw"), 1e3),
-    ("lag", slice(15, 16), ("datalink",), 1e3),
+    ("gps_bias", GPS_BIAS, ("north", "east", "down"), 1.0),
+    ("boresight", BORESIGHT, ("pitch", "yaw", "roll"), 1e3),  # about the camera's right, down and forward
+    ("lag", slice(LAG, LAG + 1), ("datalink",), 1e3),
 )
 """Entity, place in the filter's state, what its lines are called, to the plot's unit (m, mrad, ms)."""
 

@@ -10,13 +10,12 @@ import sys
 import msgspec
 import numpy as np
 import pytest
-from lockstep import S, fly_with, near, recording_in, with_guidance
+from lockstep import REFUELLING, TO_HOLD, S, fly_with, near, recording_in, with_guidance
 
-from companion.messages import FusedPose, Phase, RelativeState, VisionOutput
+from companion.messages import FusedPose, Integrity, Phase, RelativeState, VisionOutput
 from sim_bridge.flight import fly
 from sim_bridge.scenario import load_scenario
 
-TO_HOLD = [Phase.JOIN, Phase.APPROACH, Phase.HOLD]
 HOLD_S = 8.0
 
 
@@ -47,16 +46,41 @@ def biggest_jump_m(flight, start_s):
     return np.linalg.norm(np.diff(p, axis=0) - v[:-1] * dt, axis=1).max()
 
 
-@pytest.mark.parametrize("solver", ["lhm", "glsdc"])
-def test_docks_on_vision(tmp_path, solver):
-    scenario, setup = near(201, hold_s=HOLD_S)
+@pytest.mark.parametrize(("solver", "fusion"), [("lhm", "filter"), ("lhm", "blend"), ("glsdc", "blend")])
+def test_docks_on_vision(tmp_path, solver, fusion):
+    scenario, setup = near(201, hold_s=HOLD_S, fusion=fusion)
     config = setup.config
     vision = msgspec.structs.replace(config.vision, solver=solver)
     setup = msgspec.structs.replace(setup, config=msgspec.structs.replace(config, vision=vision))
     flight = fly_with(tmp_path, scenario, setup)
     assert_docked_well(flight, setup.tanker.window)
-    assert {o.vision_weight for o in flight.of(FusedPose)} == {1.0}
-    assert flight.summary["pose_solver"] == solver
+    if fusion == "blend":
+        assert {o.vision_weight for o in flight.of(FusedPose)} == {1.0}
+    else:
+        assert flight.summary["filter"]["pixels"]["accepted_fraction"] > 0.95
+    assert (flight.summary["pose_solver"], flight.summary["fusion"]) == (solver, fusion)
+    assert flight.summary["integrity"]["may_dock_fraction"] == 1.0
+    assert [phase for _, phase, _ in flight.summary["phases"]] == [p.value for p in TO_HOLD]
+
+
+def test_a_whole_refuelling(tmp_path):
+    """From behind the pre-contact point, every gate passed by itself: slow at the end, and never before it may."""
+    start = {"start_tanker_m": (-49.0, -2.0, 17.0), "timeout_s": 120.0}
+    scenario, setup = near(209, hold_s=4.0, vision_input="detections", **start)
+    setup = with_guidance(setup, procedure="refuelling", self_test=True)
+    flight = fly_with(tmp_path, scenario, setup)
+    assert flight.phases == REFUELLING
+    t, br = np.array(flight.t_s), np.array(flight.truth_br)
+    approach_s, contact_s = flight.entered_s(Phase.APPROACH), flight.entered_s(Phase.CONTACT)
+    held = br[(t > approach_s - 3.0) & (t < approach_s)]
+    assert np.linalg.norm(held - setup.config.guidance.pre_contact_m, axis=1).max() < 1.0
+    last = (t > approach_s) & (t < contact_s) & (np.linalg.norm(br, axis=1) < 2.0)
+    assert br[last][0, 0] < -1.5
+    closure_m_s = (np.linalg.norm(br[last][0]) - np.linalg.norm(br[last][-1])) / np.ptp(t[last])
+    assert closure_m_s <= 0.3
+    assert (np.abs(br[t >= flight.entered_s(Phase.HOLD)]) < setup.tanker.window.desired_m).all()
+    may = [(o.t_ns / S, o.may_dock) for o in flight.of(Integrity)]
+    assert all(ok for t_s, ok in may if t_s > approach_s - setup.config.guidance.may_dock_s)
 
 
 def test_heading_does_not_matter(tmp_path):
@@ -64,11 +88,12 @@ def test_heading_does_not_matter(tmp_path):
     tracks = []
     for k, heading_rad in enumerate((0.0, 1.0)):
         (tmp_path / str(k)).mkdir()
-        scenario, setup = near(202, path_s=4.0, hold_s=4.0, heading_rad=heading_rad)
+        scenario, setup = near(202, hold_s=2.0, heading_rad=heading_rad, start_tanker_m=(-30.5, -1.0, 10.0))
         flight = fly_with(tmp_path / str(k), scenario, setup)
         assert flight.phases == TO_HOLD
         start = int(np.searchsorted(flight.t_s, flight.entered_s(Phase.APPROACH)))
         tracks.append(np.array(flight.truth_br)[start : start + 1400])
+        assert len(tracks[k]) == 1400
     assert np.abs(tracks[1] - tracks[0]).max() < 0.1
 
 
@@ -82,7 +107,7 @@ def fly_in_a_fresh_process(folder, seed):
 
 
 def fly_briefly(out, seed, **scenario_fields):
-    scenario, setup = near(seed, path_s=2.0, hold_s=0.5, **scenario_fields)
+    scenario, setup = near(seed, hold_s=0.5, start_tanker_m=(-30.5, -1.0, 10.0), **scenario_fields)
     return fly(scenario, recording_in(setup, out)).folder
 
 
@@ -103,15 +128,15 @@ def test_same_seed_same_bytes_and_another_seed_others(tmp_path):
 @pytest.mark.parametrize("camera", ["thesis", "docking"])
 @pytest.mark.parametrize("seed", [205, 206])
 def test_docks_from_the_thesis_start(tmp_path, camera, seed):
-    """From [-50, -20, 30] m, GPS first and vision later; half the path's time."""
+    """From [-50, -20, 30] m through every phase of a refuelling."""
     scenario = msgspec.structs.replace(load_scenario(camera), seed=seed, hold_s=HOLD_S)
-    setup = with_guidance(scenario.setup(), path_duration_s=30.0)
+    setup = scenario.setup()
     flight = fly_with(tmp_path, scenario, setup)
     weights = [o.vision_weight for o in flight.of(FusedPose)]
     assert min(weights) < 0.1
     assert weights[-1] == 1.0
     whole = next(o.t_ns for o in flight.of(FusedPose) if o.vision_weight == 1.0) / S + 0.5
-    assert flight.phases == TO_HOLD
+    assert flight.phases == REFUELLING
     assert np.abs(flight.estimate_errors(whole, np.inf)).max() < 0.10
     assert np.abs(flight.estimate_errors(flight.entered_s(Phase.HOLD), np.inf)).max() < 0.05
     br = np.array(flight.truth_br)[np.array(flight.t_s) >= flight.entered_s(Phase.HOLD)]

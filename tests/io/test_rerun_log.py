@@ -169,7 +169,7 @@ def test_the_filter_is_drawn_in_the_units_of_its_plots(drawn: Columns) -> None:
     states = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FilterState)]
     every = {round(m.t_ns / 1e9, 6): m for m in states}
     for plot, names, first, unit in (
-        ("gps_bias", ("north", "east", "down"), 9, 1.0), ("boresight", ("roll", "pitch", "yaw"), 12, 1e3),
+        ("gps_bias", ("north", "east", "down"), 9, 1.0), ("boresight", ("pitch", "yaw", "roll"), 12, 1e3),
         ("lag", ("datalink",), 15, 1e3),
     ):
         for k, name in enumerate(names):
