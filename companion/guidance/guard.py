@@ -30,7 +30,7 @@ from companion.messages import (
     VelocitySetpoint,
 )
 
-__all__ = ["CAUSES", "Envelope", "Guard", "View", "envelope_of", "guard"]
+__all__ = ["CAUSES", "Envelope", "Guard", "View", "envelope_of"]
 
 Triple = tuple[float, float, float]
 
@@ -88,8 +88,11 @@ class Guard:
         reason = self._refusal(setpoint, view) or ("" if view.phase is Phase.BREAKAWAY else self._blind(view))
         if reason:
             return Reject(view.t_ns, "guard", reason)
-        self._last = self._cut(setpoint, view)
-        return self._last
+        cut = self._cut(setpoint, view)
+        if self._refuses(cut):  # what it was cut by comes from the estimate, and may be anything
+            return Reject(view.t_ns, "guard", "estimate_not_finite")
+        self._last = cut
+        return cut
 
     def _refusal(self, setpoint: Setpoint, view: View) -> str:
         """Return why a setpoint must not leave, whatever is known of where we are; empty when it may."""
@@ -101,9 +104,7 @@ class Guard:
             return "time_not_forward"
         if view.phase is Phase.BREAKAWAY and not isinstance(setpoint, AttitudeSetpoint):
             return "no_breakaway_setpoint"
-        if not all(map(math.isfinite, _numbers(setpoint))):
-            return "setpoint_not_finite"
-        return "setpoint_outside_envelope" if self._is_senseless(setpoint) else ""
+        return self._refuses(setpoint)
 
     def _blind(self, view: View) -> str:
         """Return why the estimate bears no setpoint; empty when it does."""
@@ -145,15 +146,22 @@ class Guard:
             thrust = toward(last.thrust, thrust, c.thrust_rate_per_s * dt_s)
         return AttitudeSetpoint(setpoint.t_ns, roll, pitch, math.remainder(setpoint.yaw_rad, 2.0 * math.pi), thrust)
 
-    def _is_senseless(self, setpoint: Setpoint) -> bool:
+    def _refuses(self, setpoint: Setpoint) -> str:
+        """Return what is wrong with the numbers of a setpoint; empty when they are finite and of a sensible size.
+
+        Angles and thrust have no size that would be senseless: they are cut.
+        """
+        if not all(map(math.isfinite, _numbers(setpoint))):
+            return "setpoint_not_finite"
         e = self._envelope
         if isinstance(setpoint, AttitudeSetpoint):
-            return False  # angles wrap and thrust saturates: cutting does
+            return ""
         if isinstance(setpoint, VelocitySetpoint):
             size, largest = math.hypot(*setpoint.a_ned_m_s2), e.max_acceleration_m_s2
         else:
             size, largest = math.hypot(*setpoint.offset_ned_m), e.max_offset_m
-        return size > largest or math.hypot(*setpoint.v_ned_m_s) > e.max_speed_m_s
+        fast = math.hypot(*setpoint.v_ned_m_s) > e.max_speed_m_s
+        return "setpoint_outside_envelope" if fast or size > largest else ""
 
     def _velocity(self, setpoint: VelocitySetpoint, frame: Frame) -> VelocitySetpoint:
         """Return a velocity that changes and closes in no faster than it may; where both cannot be, closure counts."""
@@ -161,7 +169,10 @@ class Guard:
         if isinstance(last, VelocitySetpoint):
             dt_s = (setpoint.t_ns - last.t_ns) * NS
             v = within(v, last.v_ned_m_s, self._envelope.max_acceleration_m_s2 * dt_s)
-        return replace(setpoint, v_ned_m_s=frame.slowed(v))
+        slowed = frame.slowed(v)
+        return replace(setpoint, v_ned_m_s=slowed) if slowed is v else replace(
+            setpoint, v_ned_m_s=slowed, a_ned_m_s2=(0.0, 0.0, 0.0)  # nor does it speed up again
+        )
 
     def _offset(self, setpoint: OffsetSetpoint, frame: Frame) -> OffsetSetpoint:
         """Return a place to be at that neither comes too fast nor is farther in than a few seconds of closure."""
@@ -234,37 +245,3 @@ def _numbers(setpoint: Setpoint) -> tuple[float, ...]:
         return (setpoint.roll_rad, setpoint.pitch_rad, setpoint.yaw_rad, setpoint.thrust)
     more = setpoint.a_ned_m_s2 if isinstance(setpoint, VelocitySetpoint) else setpoint.offset_ned_m
     return (*setpoint.v_ned_m_s, *more, setpoint.yaw_rad)
-
-
-def guard(setpoint: Setpoint, estimate_age_s: float | None, envelope: Envelope) -> Setpoint | Reject:
-    """Return the setpoint cut to the envelope, or a Reject that says why none may leave."""
-    if estimate_age_s is None or not estimate_age_s <= envelope.estimate_stale_s:  # also true for NaN
-        return Reject(setpoint.t_ns, "guard", "estimate_stale")
-    if isinstance(setpoint, AttitudeSetpoint):
-        return guard_attitude(setpoint, envelope)
-    offset_ned_m = (0.0, 0.0, 0.0) if isinstance(setpoint, VelocitySetpoint) else setpoint.offset_ned_m
-    a_ned_m_s2 = setpoint.a_ned_m_s2 if isinstance(setpoint, VelocitySetpoint) else (0.0, 0.0, 0.0)
-    if not all(map(math.isfinite, (*offset_ned_m, *setpoint.v_ned_m_s, *a_ned_m_s2, setpoint.yaw_rad))):
-        return Reject(setpoint.t_ns, "guard", "setpoint_not_finite")
-    far, fast = math.hypot(*offset_ned_m), math.hypot(*setpoint.v_ned_m_s)
-    if far > envelope.max_offset_m or fast > envelope.max_speed_m_s:
-        return Reject(setpoint.t_ns, "guard", "setpoint_outside_envelope")
-    if math.hypot(*a_ned_m_s2) > envelope.max_acceleration_m_s2:
-        return Reject(setpoint.t_ns, "guard", "setpoint_outside_envelope")
-    return setpoint
-
-
-def guard_attitude(setpoint: AttitudeSetpoint, envelope: Envelope) -> AttitudeSetpoint | Reject:
-    """Return an attitude setpoint cut to the envelope, or a Reject when it is not finite."""
-    values = (setpoint.roll_rad, setpoint.pitch_rad, setpoint.yaw_rad, setpoint.thrust)
-    if not all(math.isfinite(v) for v in values):
-        return Reject(setpoint.t_ns, "guard", "setpoint_not_finite")
-    low = envelope.pitch_trim_rad - envelope.max_pitch_offset_rad
-    high = envelope.pitch_trim_rad + envelope.max_pitch_offset_rad
-    return AttitudeSetpoint(
-        setpoint.t_ns,
-        clip(setpoint.roll_rad, -envelope.max_roll_rad, envelope.max_roll_rad),
-        clip(setpoint.pitch_rad, low, high),
-        math.remainder(setpoint.yaw_rad, 2.0 * math.pi),
-        clip(setpoint.thrust, 0.0, 1.0),
-    )
