@@ -158,8 +158,7 @@ def test_what_noise_makes_for_a_moment_is_no_cause(wrong):
 
 
 def test_moderate_turbulence_and_the_slowest_camera_are_no_cause():
-    """Sigma of the rate 0.3 m/s, of BR 0.2 m; two pictures of 10 Hz lost in a row, reports at 25 Hz, heartbeats at 1 Hz.
-    """
+    """Sigma of the rate 0.3 m/s, of BR 0.2 m; two pictures of 10 Hz lost in a row; reports 25 Hz, heartbeats 1 Hz."""
     rng, guard = np.random.default_rng(7), new_guard()
     for k in range(20_000):
         t_ns = START_NS + k * DT_NS
