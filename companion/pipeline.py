@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from companion.config import CameraConfig, Setup, landmarks
 from companion.estimation.aircraft import Aircraft
 from companion.estimation.blend import Blend
+from companion.estimation.filter import RelativeFilter
 from companion.estimation.fusion import Fusion
 from companion.estimation.integrity import IntegrityMonitor
 from companion.estimation.integrity_markers import Eye
 from companion.estimation.relative import RelativeEstimator
+from companion.geometry import Mat
 from companion.guidance.approach import Approach
 from companion.health import HealthMonitor
 from companion.messages import (
@@ -53,6 +55,14 @@ def unmarked(stage: str) -> None:
     """Ignore the end of a stage: for drivers that do not measure."""
 
 
+def fusion_of(setup: Setup, aircraft: Aircraft, markers: Mat) -> Fusion:
+    """Return the fusion that the configuration asks for; ``markers`` (n, 3) in the order of the labels."""
+    config, camera = setup.config, setup.camera
+    if config.fusion.method == "filter":
+        return RelativeFilter(config.fusion, aircraft, camera, markers, partial(pixels_to_normalised, camera))
+    return Blend(config.fusion, aircraft)
+
+
 class Pipeline:
     """Vision, estimation and guidance, wired."""
 
@@ -60,7 +70,7 @@ class Pipeline:
         self._mark = mark
         self.vision = VisionChain(setup.camera, setup.tanker, setup.config.vision)
         self.aircraft = Aircraft(setup.config.fusion, T_frd_cam(setup.camera))
-        self.fusion: Fusion = Blend(setup.config.fusion, self.aircraft)
+        self.fusion: Fusion = fusion_of(setup, self.aircraft, self.vision.markers)
         self.relative = RelativeEstimator(self.fusion, self.aircraft, setup.tanker, setup.airframe)
         config = setup.config
         self.integrity = IntegrityMonitor(
@@ -169,7 +179,8 @@ class Pipeline:
         state = self.relative.at(tick.t_ns)
         sources = self.relative.sources()
         integrity = None if state is None else self.integrity.at(state, sources)
-        outputs: list[Output] = [o for o in (state, integrity) if o is not None]
+        health = self.monitor.step(tick.t_ns, self.phase, sources)
+        outputs: list[Output] = [o for o in (health, state, integrity) if o is not None]
         outputs += self.approach.step(tick.t_ns, state, sources, integrity)
         self._mark("guidance")
         return outputs

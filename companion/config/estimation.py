@@ -82,7 +82,7 @@ class IntegrityConfig(Struct, frozen=True, kw_only=True):
     false_alarm: float = 1e-5
     alert_growth: float = 0.04
     sigma_px: float = 0.07
-    map_sigma_m: float = 0.01
+    map_sigma_m: float = 0.005
     boresight_rad: float = 0.008
     gps_own_m: float = 0.9
     window_s: float = 2.0
