@@ -54,7 +54,7 @@ class FusionConfig(Struct, frozen=True, kw_only=True):
     aircraft may be.
     """
 
-    method: Literal["filter", "blend"] = "blend"
+    method: Literal["filter", "blend"] = "filter"
     d1_m: float = 55.0
     d2_m: float = 40.0
     min_markers: int = 2
