@@ -41,7 +41,8 @@ class GuardConfig(Struct, frozen=True, kw_only=True):
 
     ``roll_rate_rad_s``, ``pitch_rate_rad_s``, ``thrust_rate_per_s``: how fast setpoints may change. Closing in:
     ``closure_m_s`` within ``closure_range_m`` of the box, and beyond what ``braking_m_s2`` takes away until there; a
-    place to be at is at most ``offset_horizon_s`` of that farther in.
+    place to be at is at most ``offset_horizon_s`` of that farther in. The receiver itself is held to it forward;
+    up and across gusts may add ``closure_gust_m_s``.
 
     The age from which a source counts as lost: ``heartbeat_lost_s`` (1 Hz), ``sight_lost_s`` (more than three pictures
     of 10 Hz in a row), ``datalink_stale_s``, ``attitude_stale_s``, ``position_stale_s``; ``estimate_lost_s``, and
@@ -57,6 +58,7 @@ class GuardConfig(Struct, frozen=True, kw_only=True):
     closure_m_s: float = 1.0
     closure_range_m: float = 15.0
     braking_m_s2: float = 0.3
+    closure_gust_m_s: float = 1.0
     offset_horizon_s: float = 4.0
     heartbeat_lost_s: float = 3.0
     sight_lost_s: float = 0.45
@@ -86,8 +88,10 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     ``pre_contact_m``: BR of the pre-contact point in ``mrf``, held within ``stabilise_tolerance_m`` for
     ``stabilise_s`` and with integrity for ``may_dock_s`` before the approach, which closes in with at most
     ``approach_closure_m_s``, and ``contact_closure_m_s`` over its last ``contact_near_m``; ``closure_m_s2`` between
-    them. ``retreat_s`` without integrity's leave, no fault seen, and an approach goes back to the pre-contact point; so
-    it does when the box has not been held for ``capture_s`` within ``contact_timeout_s``.
+    them: gusts add up to 0.5 m/s, and the guard breaks away at 1 m/s. The way to the pre-contact point peaks at
+    ``max_closure_m_s`` and ``transit_m_s2``. ``retreat_s`` without integrity's leave, no fault seen, and an approach
+    goes back to the pre-contact point; so it does when it has not held the box for ``capture_s`` within
+    ``contact_timeout_s``.
     """
 
     procedure: Literal["refuelling", "direct"] = "refuelling"
@@ -99,10 +103,11 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     stabilise_tolerance_m: float = 1.0
     may_dock_s: float = 2.0
     retreat_s: float = 0.1
-    approach_closure_m_s: float = 0.8
-    contact_closure_m_s: float = 0.25
+    approach_closure_m_s: float = 0.45
+    contact_closure_m_s: float = 0.2
     contact_near_m: float = 3.0
-    closure_m_s2: float = 0.3
+    closure_m_s2: float = 0.2
+    transit_m_s2: float = 0.4
     contact_timeout_s: float = 30.0
     law: Literal["attitude", "velocity", "surfaces"] = "attitude"
     rate_hz: float = 50.0
@@ -134,7 +139,7 @@ def guard_rules(g: GuardConfig) -> Rules:
     ages = ("heartbeat_lost_s", "sight_lost_s", "datalink_stale_s", "attitude_stale_s", "position_stale_s",
             "estimate_lost_s", "estimate_lost_far_s")
     more = ("roll_rate_rad_s", "pitch_rate_rad_s", "thrust_rate_per_s", "closure_m_s", "closure_range_m",
-            "braking_m_s2", "offset_horizon_s", "protection_range_m")
+            "braking_m_s2", "closure_gust_m_s", "offset_horizon_s", "protection_range_m")
     return [
         *((0 < getattr(g, name) <= 10, f"guidance.guard.{name} must be in 0..10 seconds") for name in ages),
         *((0 < getattr(g, name) < math.inf, f"guidance.guard.{name} must be positive") for name in more),
@@ -159,8 +164,8 @@ def guidance_rules(g: GuidanceConfig) -> Rules:
          "guidance: join_settle_s, observation_s, stabilise_s, may_dock_s, retreat_s and capture_s must not be "
          "negative seconds"),
         (g.contact_timeout_s > g.capture_s, "guidance.contact_timeout_s must be more than capture_s, both in seconds"),
-        (min(g.stabilise_tolerance_m, g.contact_near_m, g.closure_m_s2) > 0,
-         "guidance: stabilise_tolerance_m, contact_near_m and closure_m_s2 must be positive"),
+        (min(g.stabilise_tolerance_m, g.contact_near_m, g.closure_m_s2, g.transit_m_s2) > 0,
+         "guidance: stabilise_tolerance_m, contact_near_m, closure_m_s2 and transit_m_s2 must be positive"),
         (0 < g.contact_closure_m_s <= g.approach_closure_m_s <= g.max_closure_m_s,
          "guidance: contact_closure_m_s, approach_closure_m_s and max_closure_m_s must be positive, in rising order"),
         (min(g.join_range_m, g.off_path_m, g.breakaway_separation_m) > 0,

@@ -75,16 +75,17 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """BR in ``mrf`` as plain numbers: place and rate (3,), ``way`` the unit vector to close in by, range, closure.
+    """BR in ``mrf`` as plain numbers: place (3,), range, ``way`` the unit vector to close in by, and the rates.
 
     The way leads to the box, but never backwards: who is ahead of the box closes in on the tanker by going forward.
-    ``closure_m_s``: rate along the way, or forward, whichever is more.
+    ``closing_m_s`` along the way, ``forward_m_s`` along x.
     """
 
     p_m: tuple[float, float, float]
     way: tuple[float, float, float]
     range_m: float
-    closure_m_s: float
+    closing_m_s: float
+    forward_m_s: float
 
 
 def near_of(state: RelativeState) -> Near | None:
@@ -97,7 +98,7 @@ def near_of(state: RelativeState) -> Near | None:
     behind = min(x, 0.0)
     length = math.hypot(behind, y, z)
     way = (-behind / length, -y / length, -z / length) if length > 0.0 else (1.0, 0.0, 0.0)
-    return Near((x, y, z), way, range_m, max(vx * way[0] + vy * way[1] + vz * way[2], vx))
+    return Near((x, y, z), way, range_m, vx * way[0] + vy * way[1] + vz * way[2], vx)
 
 
 def allowed_closure_m_s(config: GuardConfig, range_m: float) -> float:
@@ -162,7 +163,8 @@ class Watch:
         outside = fast = lost = upset = False
         if near is not None and view.state is not None:
             outside = any(abs(p) > limit for p, limit in zip(near.p_m, self._limit_m, strict=True))
-            fast = near.closure_m_s > allowed_closure_m_s(c, near.range_m)
+            allowed_m_s = allowed_closure_m_s(c, near.range_m)
+            fast = near.forward_m_s > allowed_m_s or near.closing_m_s > allowed_m_s + c.closure_gust_m_s
             upset = self._is_upset(view.state)
             limit_m = c.off_path_near_m if near.range_m <= c.closure_range_m else c.off_path_m
             lost = view.error_m is not None and not view.error_m <= limit_m  # also true for NaN

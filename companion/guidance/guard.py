@@ -7,8 +7,8 @@ Rules
   climbs or has more thrust than level flight is cut to that.
 * What is merely large is cut, which keeps a saturated law flying: to the envelope, to the closure that is allowed at
   this range, to the rates of change against the last setpoint of its kind. What is beyond all sense is refused.
-* A setpoint of attitude does not say what closure it asks for: the measured one decides. While the receiver closes in
-  too fast, no more thrust leaves than level flight takes.
+* A setpoint of attitude does not say what closure it asks for: the measured one decides. While the receiver comes
+  forward too fast, no more thrust leaves than level flight takes.
 * In standby nothing leaves.
 """
 
@@ -122,7 +122,7 @@ class Guard:
             if view.phase is Phase.BREAKAWAY:
                 level = min(setpoint.pitch_rad, e.pitch_trim_rad)
                 return self._attitude(replace(setpoint, pitch_rad=level), e.trim_thrust)
-            fast = near is not None and near.closure_m_s > allowed_m_s
+            fast = near is not None and near.forward_m_s > allowed_m_s
             return self._attitude(setpoint, e.trim_thrust if fast else 1.0)
         assert state is not None  # _blind has seen to that
         assert near is not None
