@@ -53,12 +53,13 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """One flight: square sums of the errors of BR and of the relative position, per axis, over the hold."""
+    """One flight: sums of squares of the errors of BR and of the relative position, per axis, over the hold's steps."""
 
     label: str
     docked: bool
     steps: int
     br_squares_m2: Vec
+    p_steps: int
     p_squares_m2: Vec
     near_s: float | None
     breakaway: str
@@ -79,10 +80,12 @@ def held_of(record: Record, job: Job) -> Held:
     hold = record.during(Phase.HOLD) & np.isfinite(record.of("br_nees"))
     truth = (np.round(record.of("t_s") / NS).astype(np.int64), record.of("br_true_m"))
     found = score(truth, record.changes[1:], job.setup.tanker.window, job.scenario)
+    fused = hold & np.isfinite(record.of("p_nees"))
     near = np.flatnonzero(record.of("range_true_m") < GPS_OFF_M)
     return Held(
         record.label, found["docked"] and record.failure is None, int(hold.sum()),
-        squares(record.of("br_m")[hold] - record.of("br_true_m")[hold]), squares(record.of("p_error_m")[hold]),
+        squares(record.of("br_m")[hold] - record.of("br_true_m")[hold]),
+        int(fused.sum()), squares(record.of("p_error_m")[fused]),
         float(record.of("t_s")[near[0]]) if len(near) else None, found["breakaway"] or "",
     )
 
@@ -144,9 +147,10 @@ def line(case: Case, gps: str, flown: Sequence[Held | Crashed | None]) -> str:
     if not steps:
         return start + f"| no hold | | {limit} | | |"
     br, p = (np.sum([getattr(h, name) for h in held], axis=0) for name in ("br_squares_m2", "p_squares_m2"))
+    p_rms = root(p.sum(), sum(h.p_steps for h in held))
     worst = max(h.rms_m for h in held if h.steps)
     mark = "" if worst <= limit else " **over**"
     axes = ", ".join(f"{root(v, steps):.4f}" for v in br)
     return start + (
-        f"| {root(br.sum(), steps):.4f} | {worst:.4f}{mark} | {limit} | {axes} | {root(p.sum(), steps):.4f} |"
+        f"| {root(br.sum(), steps):.4f} | {worst:.4f}{mark} | {limit} | {axes} | {p_rms:.4f} |"
     )

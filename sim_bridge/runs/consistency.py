@@ -23,13 +23,10 @@ from companion.messages import Phase
 from sim_bridge.runs.flights import Method, Turbulence, far, fused_by, near
 from sim_bridge.runs.many import Job
 from sim_bridge.runs.options import FIRST_SEED
-from sim_bridge.runs.record import Record, record_flight
-
-EVERY = 5
-"""Every so many rows are kept: 10 instants a second."""
+from sim_bridge.runs.record import FUSED_EVERY, Record, record_flight
 
 NEAR_S, FAR_S = 60.0, 130.0
-FAR_SHARE = 0.2
+FAR_SHARE = 0.1
 BAND = 0.95
 AXES = 3
 
@@ -57,7 +54,7 @@ class Curve:
 
 
 def jobs(flights: int, turbulence: Turbulence, method: Method | None, first_seed: int = FIRST_SEED) -> list[Job]:
-    """Return the flights from near, 60 s each, and a fifth of them from where the thesis begins."""
+    """Return the flights from near, 60 s each, a tenth of them from where the thesis begins."""
     name = "docking" if turbulence == "light" else turbulence
     many_far = round(FAR_SHARE * flights)
     made = []
@@ -74,7 +71,7 @@ def jobs(flights: int, turbulence: Turbulence, method: Method | None, first_seed
 def observe(job: Job) -> Record:
     """Fly, and return the record with every fifth row."""
     record = record_flight(job.label, job.scenario, job.setup)
-    return replace(record, rows=record.rows[::EVERY])
+    return replace(record, rows=record.rows[::FUSED_EVERY])
 
 
 def errors(record: Record, quantity: str) -> tuple[Vec, Vec]:
@@ -106,7 +103,8 @@ def nis_curve(records: Sequence[Record], source: str) -> Curve:
     sums = np.array([np.bincount(second, weights=pooled[:, k]) for k in (1, 2)], dtype=np.float64)
     there = np.flatnonzero(sums[1] > 0)
     total, dof = sums[:, there]
-    return Curve(there + 0.5, total / dof, *band(dof, dof))
+    t_s: Vec = there.astype(np.float64) + 0.5
+    return Curve(t_s, total / dof, *band(dof, dof))
 
 
 def band(dof: Vec, over: Vec) -> tuple[Vec, Vec]:

@@ -33,6 +33,9 @@ COLUMNS = {
 """What a row holds, and how many numbers each takes. ``protection_m`` NaN: no integrity told."""
 
 WIDTH = sum(COLUMNS.values())
+FUSED_EVERY = 5
+"""Position, velocity and attitude of the fusion are asked for at every fifth row, since that costs: 10 a second."""
+
 SLICES = {name: slice(end - width, end) for (name, width), end in zip(
     COLUMNS.items(), np.cumsum(list(COLUMNS.values())).tolist(), strict=True)}
 
@@ -149,9 +152,10 @@ class Tap:
         row[SLICES["br_nees"]] = nees(error, state.cov_mrf_br_m2)
         row[SLICES["markers"]] = state.markers_used
         row[SLICES["weight"]] = state.vision_weight
-        fused = self._fusion().at(state.t_ns)
-        if fused is not None:
-            self._fused(fused, row, truth)
+        if (len(self._notes.rows) - 1) % FUSED_EVERY == 0:
+            fused = self._fusion().at(state.t_ns)
+            if fused is not None:
+                self._fused(fused, row, truth)
 
     def _fused(self, fused: Relative, row: Vec, truth: Truth) -> None:
         """Note position, velocity and relative attitude of the two centres of mass, in ``ned``."""
