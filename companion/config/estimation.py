@@ -26,7 +26,7 @@ class FilterConfig(Struct, frozen=True, kw_only=True):
     velocity_sigma_m_s: float = 0.041
     velocity_hold_s: float = 0.05
     attitude_sigma_rad: float = 1.4e-4
-    pixel_sigma_px: float = 0.03
+    pixel_sigma_px: float = 0.02
     velocity_initial_m_s: float = 0.1
     velocity_walk: float = 0.01
     attitude_initial_rad: float = 0.002

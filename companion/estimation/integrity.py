@@ -9,10 +9,11 @@ Rules
       PL = max( K_free sigma_q,  max over hypotheses h of |d_hq| + K_fault sqrt(sigma_q^2 + sigma_hq^2) )
 
   d_h is how far the estimate lies from the one that h leaves untouched, sigma_h the standard deviation of d_h. The
-  hypotheses: each labelled marker is wrong (``integrity_markers``); the camera's mount or an attitude is (d = turn x
-  lever); all but the vision of the moment is; GPS is, with the share that it has in the estimate.
+  hypotheses: each labelled marker is wrong, twice, with the camera oriented by the INS and by the picture
+  (``integrity_markers``); everything is but the vision of the moment, with attitudes of the INS; everything but the
+  vision with its own (the camera's mount, an attitude). What GPS says otherwise is added, by the share that it has.
 * Budget: half of ``risk`` without a fault, two-sided: Q(K_free) = risk / 4. The other half over n hypotheses, each with
-  ``fault_probability`` p: Q(K_fault) = risk / (4 n p). With 1e-7, 1e-3, 12 hypotheses K is 5.45 and 4.6.
+  ``fault_probability`` p: Q(K_fault) = risk / (4 n p). With 1e-7, 1e-3, 20 hypotheses K is 5.45 and 4.71.
 * False alarms: ``false_alarm`` per test. Markers: chi-square of two degrees of freedom, shared among them; sources:
   normal. Means, not frames, are tested, and a test must fail for a while (``integrity_alarm``).
 * The alert limit is the desired window of thesis Tab. 1.1, wider by ``alert_growth`` metres for each metre from the
@@ -61,8 +62,8 @@ from companion.messages import (
 )
 
 UNKNOWN_M = 1e3
-SOURCES = 3
-"""Hypotheses beside the markers."""
+SOURCES = 2
+"""Hypotheses beside those of the markers."""
 LEFT_M = 1.0
 """Beyond the limit window by so much, the receiver is on its way out and need not be within it."""
 COAST_M, COAST_M_S = 0.03, 0.05
@@ -84,7 +85,7 @@ class IntegrityMonitor:
         self._desired_m, self._limit_m = np.array(window.desired_m), np.array(window.limit_m)
         self._R_frd_cam = eye.T_frd_cam.R
         places = np.array([m.p_tanker_m for m in markers], dtype=np.float64).reshape(-1, 3)
-        share = 4.0 * (len(places) + SOURCES) * config.fault_probability
+        share = 4.0 * (2 * len(places) + SOURCES) * config.fault_probability
         self._k_free = float(-ndtri(config.risk / 4.0))
         self._k_fault = float(-ndtri(config.risk / share))
         sigmas = float(-ndtri(config.false_alarm / 6.0))  # three axes, two sides
@@ -173,20 +174,23 @@ class IntegrityMonitor:
         return inside or not self._entered
 
     def _protection(self, state: RelativeState, R_mrf_ned: Mat, R_mrf_cam: Mat) -> Vec:
-        ways = [self._markers.separations]
+        """Return the protection levels (3,): without a fault, and the largest of all hypotheses."""
+        markers, t_ns = self._markers, state.t_ns
+        if markers.separations is None or markers.separations_turning is None:
+            return np.full(3, UNKNOWN_M)
+        away_m, cov_place = self._attitude.away(t_ns, turns=False)
+        turned_m, cov_turned = self._attitude.away(t_ns, turns=True)
+        off_m = [(away_m + markers.separations.off_m), away_m[None], turned_m[None]]
+        covs = [markers.separations.cov, cov_place[None], cov_turned[None]]
+        common = R_mrf_cam @ markers.separations.common @ R_mrf_cam.T
         if self._filtered:
-            ways.append(self._markers.separations_turning)
-        a = self._attitude
-        levels = []
-        for way in ways:
-            if way is None:
-                return np.full(3, UNKNOWN_M)
-            off_m = np.vstack((way.off_m, a.turned_m, a.away_m))
-            cov = np.concatenate((way.cov, (a.lever @ a.cov_turn @ a.lever.T)[None], a.cov_place[None]))
-            variance = np.diag(state.cov_mrf_br_m2) + np.diag(R_mrf_cam @ way.common @ R_mrf_cam.T)
-            of_hypotheses = ((R_mrf_cam @ cov) * R_mrf_cam).sum(axis=2)
-            d = np.abs(off_m @ R_mrf_cam.T) + self._k_fault * np.sqrt(variance + of_hypotheses)
-            levels += [self._k_free * np.sqrt(variance), d.max(axis=0)]
+            off_m.append(turned_m + markers.separations_turning.off_m)
+            covs.append(markers.separations_turning.cov)
+            common = np.maximum(common, R_mrf_cam @ markers.separations_turning.common @ R_mrf_cam.T)
+        variance = np.diag(state.cov_mrf_br_m2) + np.diag(common)
+        of_hypotheses = ((R_mrf_cam @ np.concatenate(covs)) * R_mrf_cam).sum(axis=2)
+        d = np.abs(np.vstack(off_m) @ R_mrf_cam.T) + self._k_fault * np.sqrt(variance + of_hypotheses)
         gps = np.abs(R_mrf_ned @ self._gps.off_ned_m) * (1.0 - state.vision_weight)
-        protection: Vec = np.minimum(np.max(levels, axis=0) + gps, UNKNOWN_M)
+        free = self._k_free * np.sqrt(variance)
+        protection: Vec = np.minimum(np.maximum(free, d.max(axis=0)) + gps, UNKNOWN_M)
         return protection

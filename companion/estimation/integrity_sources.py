@@ -24,12 +24,13 @@ import numpy as np
 
 from companion.config import IntegrityConfig
 from companion.estimation.integrity_alarm import Alarm, RunningMean
-from companion.geometry import Mat, Vec, log_so3, skew
+from companion.geometry import IDENTITY, Mat, Vec, log_so3, skew
 from companion.messages import NS, FilterUpdate, FusedPose, PoseMeasurement
 
 QUICK_S = 0.25
 SOURCE_ON_S, SOURCE_OFF_S = 1.0, 3.0
 TURN_ON_S = 0.3
+LATELY_S = 1.0
 LEAST_S = 0.5
 """Means count from so much seen time on."""
 LEAST_M = 1.5
@@ -109,24 +110,25 @@ class AttitudeTest:
         self._left = RunningMean(3, QUICK_S)  # the same against the estimate
         self._away = RunningMean(3, QUICK_S)
         self._boresight, self._attitude = Alarm(TURN_ON_S, SOURCE_OFF_S), Alarm(TURN_ON_S, SOURCE_OFF_S)
-        self.cov_turn: Mat = np.zeros((3, 3))
-        self.cov_place: Mat = np.zeros((3, 3))
-        self.lever: Mat = np.zeros((3, 3))
+        self._cov: Mat = np.zeros((6, 6))
+        self._lever: Mat = np.zeros((3, 6))
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Return the tests that fail."""
         return (("boresight",) if self._boresight.raised else ()) + (("attitude",) if self._attitude.raised else ())
 
-    @property
-    def turned_m(self) -> Vec:
-        """Return what the place (3,), camera axes, is off by if the mount is off as the vision says."""
-        return self.lever @ self._left.mean
+    def away(self, t_ns: int, *, turns: bool) -> tuple[Vec, Mat]:
+        """Return the estimate's place less the vision's (3,), camera axes, and the covariance (3, 3) of the latter.
 
-    @property
-    def away_m(self) -> Vec:
-        """Return the vision's place less the estimate's (3,), camera axes."""
-        return self._away.mean
+        ``turns``: the vision's rotation orients the camera, not the INS and the mount (``integrity_leave_out.moves``).
+        Nothing, with no covariance, when there has been no pose lately that found its own rotation.
+        """
+        if not self._away.fresh(t_ns, LATELY_S):
+            return np.zeros(3), np.zeros((3, 3))
+        if not turns:
+            return -self._away.mean, self._cov[:3, :3]
+        return -self._away.mean - self._lever[:, 3:] @ self._left.mean, self._lever @ self._cov @ self._lever.T
 
     def see(self, pose: PoseMeasurement, fused: FusedPose, noise_share: float) -> None:
         """Take a pose that found its own rotation; ``noise_share``: of its covariance, what does not average out."""
@@ -136,9 +138,9 @@ class AttitudeTest:
         self._away.add(pose.t_ns, pose.T_cam_tanker.t - fused.T_cam_tanker.t)
         self._turn.add(pose.t_ns, turn)
         self._quick.add(pose.t_ns, turn)
-        self.cov_place, self.cov_turn = cov[:3, :3], cov[3:, 3:]
-        self.lever = skew(pose.T_cam_tanker.t)
-        sigma = np.sqrt(np.diag(self.cov_turn))
+        self._cov = cov
+        self._lever = np.hstack((IDENTITY, skew(pose.T_cam_tanker.t)))
+        sigma = np.sqrt(np.diag(cov)[3:])
         limit = np.maximum(self._config.boresight_rad, self._limit * sigma)
         off = np.abs(self._turn.mean)
         self._boresight.update(pose.t_ns, fails=bool((off > limit).any() and self._turn.count >= 3.0))
