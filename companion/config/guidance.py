@@ -88,7 +88,7 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     ``pre_contact_m``: BR of the pre-contact point in ``mrf``, held within ``stabilise_tolerance_m`` for
     ``stabilise_s`` and with integrity for ``may_dock_s`` before the approach, which closes in with at most
     ``approach_closure_m_s``, and ``contact_closure_m_s`` over its last ``contact_near_m``; ``closure_m_s2`` between
-    them: gusts add up to 0.5 m/s, and the guard breaks away at 1 m/s. The way to the pre-contact point peaks at
+    them: gusts add up to 0.4 m/s forward, and the guard breaks away at 1 m/s. The way to the pre-contact point peaks at
     ``max_closure_m_s`` and ``transit_m_s2``. ``retreat_s`` without integrity's leave, no fault seen, and an approach
     goes back to the pre-contact point; so it does when it has not held the box for ``capture_s`` within
     ``contact_timeout_s``.
@@ -103,7 +103,7 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     stabilise_tolerance_m: float = 1.0
     may_dock_s: float = 2.0
     retreat_s: float = 0.1
-    approach_closure_m_s: float = 0.45
+    approach_closure_m_s: float = 0.5
     contact_closure_m_s: float = 0.2
     contact_near_m: float = 3.0
     closure_m_s2: float = 0.2

@@ -38,6 +38,8 @@ STABLE_SPEED_M_S = 0.2
 move two aircraft against each other faster for moments."""
 SETTLED_MEAN_S = 2.0
 HEARTBEAT_STALE_S = 3.0
+DIRECT_M_S = 0.8
+"""Peak of the direct procedure's cubic, which is at half the way, where the guard allows 1 m/s and a little more."""
 BOX = np.zeros(3)
 
 
@@ -207,7 +209,7 @@ class Approach:
             case Phase.PRE_CONTACT:
                 self._to_pre_contact(change, now, called_back=situation.command is Command.PRE_CONTACT)
             case Phase.APPROACH if self._direct:
-                self._path = cubic(t_ns, now.p_m, BOX, c.approach_closure_m_s, c.closure_m_s2, c.path_duration_s)
+                self._path = cubic(t_ns, now.p_m, BOX, DIRECT_M_S, c.transit_m_s2, c.path_duration_s)
             case Phase.APPROACH:
                 self._path = closure(t_ns, now.p_m, self._closing)
             case Phase.DISCONNECT:
@@ -221,7 +223,7 @@ class Approach:
         t_ns, c = change.t_ns, self._config
         self._station = station(self._pre_contact_m)
         if change.old is Phase.OBSERVATION:
-            self._path = cubic(t_ns, now.p_m, self._pre_contact_m, c.max_closure_m_s, c.closure_m_s2)
+            self._path = cubic(t_ns, now.p_m, self._pre_contact_m, c.max_closure_m_s, c.transit_m_s2)
         elif change.old is Phase.DISCONNECT:
             self._path = None
         else:

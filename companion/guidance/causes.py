@@ -54,6 +54,9 @@ WATCHED: dict[Phase, frozenset[str]] = {
 """Causes by phase. Before pre-contact a lost source, or a silent autopilot, is no reason to dive away: the phases wait
 for it or let go."""
 
+BACKS_OFF = frozenset({Phase.PRE_CONTACT, Phase.DISCONNECT})
+"""Phases that lead away from the box: there a protection level that is too large is what they are for, and no cause."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
@@ -173,7 +176,7 @@ class Watch:
 
     def _in_close(self, view: View) -> bool:
         near = None if view.state is None else near_of(view.state)
-        return near is not None and near.range_m <= self._config.protection_range_m
+        return view.phase not in BACKS_OFF and near is not None and near.range_m <= self._config.protection_range_m
 
     def _is_upset(self, state: RelativeState) -> bool:
         R = state.R_ned_frd

@@ -9,12 +9,13 @@ from guard_views import DT_NS, MS, S, config, integrity_at, new_guard, sources_a
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.guidance.causes import CAUSES, WATCHED, failing
+from companion.guidance.causes import BACKS_OFF, CAUSES, WATCHED, failing
 from companion.messages import Phase
 
 FLOWN = [p for p in Phase if p not in (Phase.STANDBY, Phase.BREAKAWAY)]
 NEAR = [Phase.PRE_CONTACT, Phase.APPROACH, Phase.CONTACT, Phase.HOLD, Phase.DISCONNECT]
 FAR = [Phase.JOIN, Phase.OBSERVATION]
+CLOSES_IN = [p for p in NEAR if p not in BACKS_OFF]
 START_NS = 10 * S
 
 
@@ -96,9 +97,9 @@ CASES = [
     pytest.param(silent("attitude"), NEAR, "attitude stale", 0.42, id="attitude"),
     pytest.param(silent("position"), NEAR, "position stale", 0.42, id="position"),
     pytest.param(distrusted("boresight", "marker 3"), NEAR, "integrity failed: boresight, marker 3", 0.2, id="faults"),
-    pytest.param(distrusted(protection_m=(0.5, 1.1, math.inf)), NEAR, "integrity failed: protection y z", 0.2,
+    pytest.param(distrusted(protection_m=(0.5, 1.1, math.inf)), CLOSES_IN, "integrity failed: protection y z", 0.2,
                  id="level"),
-    pytest.param(distrusted(protection_m=(math.nan, 0.1, 0.1)), NEAR, "integrity failed: protection x", 0.2,
+    pytest.param(distrusted(protection_m=(math.nan, 0.1, 0.1)), CLOSES_IN, "integrity failed: protection x", 0.2,
                  id="nan-level"),
     pytest.param(no_estimate, NEAR, "estimate lost", 0.42, id="no-estimate"),
     pytest.param(dead_estimate, NEAR, "estimate lost", 0.42, id="dead-estimate"),
@@ -194,6 +195,12 @@ def test_protection_levels_do_not_count_far_from_the_box():
     assert told(Phase.APPROACH, distrusted(p_m=(-8.0, 0.0, 4.0), **wide)) is not None
     nowhere = told(Phase.APPROACH, lambda t_ns, _: {"integrity": integrity_at(t_ns, **wide), "state": None})
     assert nowhere[1] == "estimate lost"
+
+
+@pytest.mark.parametrize("phase", sorted(BACKS_OFF))
+def test_a_protection_level_that_is_too_large_is_no_cause_on_the_way_back_but_a_fault_is(phase):
+    assert told(phase, distrusted(protection_m=(9.0, 9.0, 9.0))) is None
+    assert told(phase, distrusted("boresight"))[1] == "integrity failed: boresight"
 
 
 def test_without_integrity_nothing_is_distrusted():

@@ -1,5 +1,6 @@
 """``companion command`` against a real link on the loopback."""
 
+import math
 import subprocess
 import sys
 import threading
@@ -8,9 +9,15 @@ import pytest
 
 from companion.config import ConfigError, LinksConfig
 from companion.io.clock import SimulatedClock
-from companion.io.mavlink import MavlinkUdp
-from companion.io.operator import send_command
+from companion.io.mavlink import AutopilotLink, MavlinkUdp, dialect
+from companion.io.mavlink_codec import MavlinkCodec
+from companion.io.operator import GCS_COMPONENT_ID, Operator, send_command
+from companion.io.telemetry import COMMANDS
 from companion.messages import Command, OperatorCommand
+from sim_bridge.operator import ScheduledOperator
+from sim_bridge.scenario import TimedCommand
+
+LINKS = LinksConfig()
 
 
 @pytest.fixture
@@ -51,9 +58,67 @@ def test_nobody_there_is_one_line():
         send_command("udpout:127.0.0.1:9", Command.ENGAGE, LinksConfig())
 
 
-def test_the_command_line_speaks(listening):
+@pytest.mark.parametrize("name", ["simulated_vision", "contact"])
+def test_the_command_line_speaks(listening, name):
     port, heard = listening
-    call = [sys.executable, "-m", "companion", "command", "simulated_vision", "--mavlink", f"udpout:127.0.0.1:{port}"]
+    call = [sys.executable, "-m", "companion", "command", name, "--mavlink", f"udpout:127.0.0.1:{port}"]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "simulated_vision: accepted\n", "")
-    assert heard
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name}: accepted\n", "")
+    assert {e.command for e in heard if isinstance(e, OperatorCommand)} == {Command(name)}
+
+
+def told(number, *parameters, kind="long"):
+    """Return what the link makes of a command, and what it answers."""
+    codec, link = MavlinkCodec(LINKS.gcs_system_id, GCS_COMPONENT_ID), AutopilotLink(LINKS)
+    target = (LINKS.system_id, LINKS.component_id)
+    p = (*parameters, *[0.0] * (7 - len(parameters)))
+    if kind == "long":
+        message = dialect.MAVLink_command_long_message(*target, number, 0, *p)
+    else:
+        message = dialect.MAVLink_command_int_message(*target, 0, number, 0, 0, *p[:4], 0, 0, 0.0)
+    events = link.receive(codec.pack(message), 1_000_000_000)
+    [(answer, _)] = MavlinkCodec(1, 1).feed(link.replies())
+    assert (answer.get_type(), answer.command) == ("COMMAND_ACK", number)
+    return [e.command for e in events], answer.result
+
+
+@pytest.mark.parametrize("param1", [-1.0, 4.0, 0.5, 1.0000001, math.nan, math.inf, -math.inf, 1e30])
+def test_a_gate_that_there_is_not_is_denied(param1):
+    assert told(dialect.MAV_CMD_USER_1, param1) == ([], dialect.MAV_RESULT_DENIED)
+
+
+@pytest.mark.parametrize(("param1", "command"), [
+    (0.0, Command.ENGAGE), (-0.0, Command.ENGAGE), (1.0, Command.PRE_CONTACT), (2.0, Command.CONTACT),
+    (3.0, Command.DISCONNECT),
+])
+@pytest.mark.parametrize("others", [(), (math.nan,) * 6])
+def test_gates_are_told_by_their_first_parameter_alone(param1, command, others):
+    assert told(dialect.MAV_CMD_USER_1, param1, *others) == ([command], dialect.MAV_RESULT_ACCEPTED)
+
+
+@pytest.mark.parametrize("param1", [0.0, 7.0, math.nan])
+def test_what_is_urgent_is_taken_whatever_its_parameters(param1):
+    assert told(dialect.MAV_CMD_USER_2, param1) == ([Command.BREAKAWAY], dialect.MAV_RESULT_ACCEPTED)
+
+
+def test_other_commands_and_other_messages_are_not_supported():
+    assert told(dialect.MAV_CMD_DO_SET_MODE, 1.0) == ([], dialect.MAV_RESULT_UNSUPPORTED)
+    assert told(dialect.MAV_CMD_USER_1, 1.0, kind="int") == ([], dialect.MAV_RESULT_UNSUPPORTED)
+
+
+def test_no_two_commands_are_the_same_on_the_link():
+    assert set(COMMANDS) == set(Command)
+    assert len(set(COMMANDS.values())) == len(COMMANDS)
+    alone = [number for number, param1 in COMMANDS.values() if param1 is None]
+    assert not set(alone) & {number for number, param1 in COMMANDS.values() if param1 is not None}
+
+
+@pytest.mark.parametrize("command", list(Command))
+def test_a_scenarios_operator_says_the_same(command):
+    scheduled = ScheduledOperator(LINKS, (TimedCommand(at_s=2.0, command=command),))
+    assert scheduled.due(1_999_999_999) == []
+    assert scheduled.due(2_000_000_000) == [command]
+    assert scheduled.due(2_000_000_000) == []
+    assert scheduled.frame(command) == Operator(LINKS).frame(command)
+    events = AutopilotLink(LINKS).receive(scheduled.frame(command), 1)
+    assert [e.command for e in events] == [command]
