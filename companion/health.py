@@ -162,6 +162,8 @@ class HealthMonitor:
     def step(self, t_ns: int, phase: Phase, sources: Sources) -> Health | None:
         """Return the health of all stages when it has changed since it was last told, None when it has not."""
         self._now_ns = t_ns
+        if sources.tanker_ns is not None:
+            self._present.add(DATALINK)
         used = USED[phase]
         stages = []
         for name in STAGES:
