@@ -26,11 +26,10 @@ REFUELLING = [Phase.SELF_TEST, Phase.JOIN, Phase.OBSERVATION, Phase.PRE_CONTACT,
 
 
 def near(seed=201, *, camera="thesis", path_s=8.0, hold_s=8.0, fusion=None, **scenario_fields):
-    """Return scenario and setup of a docking that begins 5 m from the box: direct, without a self-test, so quick."""
-    fields = {"start_tanker_m": (-33.0, -2.0, 12.0), "timeout_s": 60.0, **scenario_fields}
+    """Return scenario and setup of a docking that begins 3 m from the box: direct, without a self-test, so quick."""
+    fields = {"start_tanker_m": (-31.4, -1.2, 10.7), "timeout_s": 60.0, **scenario_fields}
     scenario = msgspec.structs.replace(load_scenario(camera), seed=seed, hold_s=hold_s, **fields)
-    setup = with_guidance(scenario.setup(), path_duration_s=path_s, procedure="direct", self_test=False,
-                          approach_closure_m_s=0.8)
+    setup = with_guidance(scenario.setup(), path_duration_s=path_s, procedure="direct", self_test=False)
     return scenario, setup if fusion is None else with_fusion(setup, method=fusion)
 
 

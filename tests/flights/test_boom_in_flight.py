@@ -8,7 +8,7 @@ from companion.messages import Command, Phase
 from sim_bridge.plant.conditions import BoomConditions, PlantConditions
 from sim_bridge.scenario import TimedCommand
 
-AWAY_S = 20.0
+AWAY_S = 25.0
 
 
 def fly_to_contact(tmp_path, **changed):

@@ -1,6 +1,7 @@
 """Whole dockings in lockstep: seen through the companion's own outputs and against the truth.
 
-The quick ones begin 5 m from the box, where vision alone is flown on (thesis eq. 3.9: d < d2), with the thesis' camera.
+The quick ones begin 3 m from the box, where the blend flies on vision alone (thesis eq. 3.9: d < d2), with the thesis'
+camera.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Named faults in lockstep flights; what has to happen is in each docstring.
 
-Most happen while the receiver holds its station in JOIN, 5 m from the box, 1 s after joining: far enough, as the phases
-have it, to wait for a source that is lost. What has to happen near the box is in ``test_fault_matrix``.
+Most happen while the receiver holds its station in JOIN, 3 m from the box, 1 s after joining. In JOIN a source that is
+lost is waited for; what has to happen in the approach and in the hold is in ``test_fault_matrix``.
 """
 
 import math
@@ -326,7 +326,7 @@ def test_nonsense_between_good_messages(tmp_path, fault, reasons):
     assert goes_on(flight)
     assert flight.phases == [Phase.JOIN]
     assert np.abs(flight.estimate_errors(1.0, 99.0)).max() < 0.05
-    assert {o.vision_weight for o in flight.of(FusedPose)} == {1.0}
+    assert min(o.vision_weight for o in flight.of(FusedPose) if o.t_ns / S > 1.0) > 0.99
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def test_gps_of_the_receiver_lost_near_the_tanker_leaves_it_docked_on_vision(tmp
     with_gps, without = (held(f, setup) for f in flights)
     assert np.abs(without.mean(axis=0) - with_gps.mean(axis=0)).max() < 0.02
     assert flights[1].phases == flights[0].phases
-    assert all(f.vision_weight == 1.0 for f in flights[1].of(FusedPose) if f.t_ns * 1e-9 > LOST_S)
+    assert all(f.vision_weight > 0.99 for f in flights[1].of(FusedPose) if f.t_ns * 1e-9 > LOST_S)
     log = (tmp_path / "1" / "telemetry.tlog").read_bytes()
     told = [m for m, _ in MavlinkCodec(1, 191).feed(log)]
     texts = [m.text for m in told if m.get_type() == "STATUSTEXT"]
