@@ -114,7 +114,7 @@ def allowed_closure_m_s(config: GuardConfig, range_m: float) -> float:
 
 
 class Watch:
-    """``cause`` once per guidance step, in every phase."""
+    """``cause`` once per guidance step, in every phase; ``near`` is what ``near_of`` says of the view's state."""
 
     def __init__(self, config: GuardConfig, window: WindowConfig, pitch_trim_rad: float) -> None:
         self._config, self._limit_m, self._pitch_trim_rad = config, window.limit_m, pitch_trim_rad
@@ -125,57 +125,60 @@ class Watch:
         self._since_ns: dict[str, int] = {}
         self._estimate_ns: int | None = None
 
-    def cause(self, view: View) -> str | None:
+    def cause(self, view: View, near: Near | None) -> str | None:
         """Return why to break away now, None when there is no reason to."""
-        near = None if view.state is None else near_of(view.state)
         if near is not None and view.state is not None:
             self._estimate_ns = view.state.estimate_t_ns
         watched = WATCHED[view.phase]
         if not watched:
             self._since_ns.clear()
             return None
-        found = self._of_sources(view) | self._of_flight(view, near)  # all of them: what lasts has to be kept up
-        for cause in CAUSES:
-            if cause in found and cause in watched:
-                return cause if cause != INTEGRITY_FAILED else f"{cause}: {failing(view.integrity)}"
-        return None
+        found = self._of_sources(view, near) + self._of_flight(view, near)  # all: what lasts has to be kept up
+        found = [cause for cause in found if cause in watched]
+        if not found:
+            return None
+        cause = min(found, key=CAUSES.index)
+        return cause if cause != INTEGRITY_FAILED else f"{cause}: {failing(view.integrity)}"
 
-    def _of_sources(self, view: View) -> set[str]:
+    def _of_sources(self, view: View, near: Near | None) -> list[str]:
         """Return what is missing or not to be trusted."""
         c, s, t_ns = self._config, view.sources, view.t_ns
-        far = view.phase in (Phase.JOIN, Phase.OBSERVATION)
-        limits = (
+        far = view.phase is Phase.JOIN or view.phase is Phase.OBSERVATION
+        found = []
+        for cause, newest_ns, limit_s in (
             (AUTOPILOT_LOST, view.heartbeat_ns, c.heartbeat_lost_s),
             (SIGHT_LOST, s.sight_ns, c.sight_lost_s),
             (DATALINK_STALE, s.tanker_ns, c.datalink_stale_s),
             (ATTITUDE_STALE, s.attitude_ns, c.attitude_stale_s),
             (POSITION_STALE, s.position_ns, c.position_stale_s),
             (ESTIMATE_LOST, self._estimate_ns, c.estimate_lost_far_s if far else c.estimate_lost_s),
-        )
-        found = {cause for cause, newest_ns, limit_s in limits if self._stale(cause, newest_ns, t_ns, limit_s)}
-        distrusted = failing(view.integrity, self._in_close(view)) != ""
+        ):
+            absent = self._lasts(cause, newest_ns is None, t_ns, limit_s)  # what is not there is as old as that lasts
+            if absent or (newest_ns is not None and abs(t_ns - newest_ns) * NS > limit_s):
+                found.append(cause)
+        distrusted = failing(view.integrity, self._in_close(view, near)) != ""
         if self._lasts(INTEGRITY_FAILED, distrusted, t_ns, c.integrity_failed_s):
-            found.add(INTEGRITY_FAILED)
+            found.append(INTEGRITY_FAILED)
         if view.asked:
-            found.add(OPERATOR)
+            found.append(OPERATOR)
         return found
 
-    def _of_flight(self, view: View, near: Near | None) -> set[str]:
+    def _of_flight(self, view: View, near: Near | None) -> list[str]:
         """Return what the receiver does that it must not do."""
         c = self._config
         outside = fast = lost = upset = False
         if near is not None and view.state is not None:
-            outside = any(abs(p) > limit for p, limit in zip(near.p_m, self._limit_m, strict=True))
+            (x, y, z), (limit_x, limit_y, limit_z) = near.p_m, self._limit_m
+            outside = abs(x) > limit_x or abs(y) > limit_y or abs(z) > limit_z
             allowed_m_s = allowed_closure_m_s(c, near.range_m)
             fast = near.forward_m_s > allowed_m_s or near.closing_m_s > allowed_m_s + c.closure_gust_m_s
             upset = self._is_upset(view.state)
             limit_m = c.off_path_near_m if near.range_m <= c.closure_range_m else c.off_path_m
             lost = view.error_m is not None and not view.error_m <= limit_m  # also true for NaN
         flight = ((LEFT_WINDOW, outside), (CLOSURE, fast), (OFF_PATH, lost), (UPSET, upset))
-        return {cause for cause, holds in flight if self._lasts(cause, holds, view.t_ns, c.lasting_s)}
+        return [cause for cause, holds in flight if self._lasts(cause, holds, view.t_ns, c.lasting_s)]
 
-    def _in_close(self, view: View) -> bool:
-        near = None if view.state is None else near_of(view.state)
+    def _in_close(self, view: View, near: Near | None) -> bool:
         return view.phase not in BACKS_OFF and near is not None and near.range_m <= self._config.protection_range_m
 
     def _is_upset(self, state: RelativeState) -> bool:
@@ -186,15 +189,11 @@ class Watch:
         inside = abs(bank_rad) <= c.max_bank_rad and abs(pitch_rad - self._pitch_trim_rad) <= c.max_pitch_off_trim_rad
         return not inside  # also true for NaN
 
-    def _stale(self, cause: str, newest_ns: int | None, t_ns: int, limit_s: float) -> bool:
-        """Tell whether a source is older than it may be; one that is not there is as old as that has lasted."""
-        absent = self._lasts(cause, newest_ns is None, t_ns, limit_s)
-        return absent or (newest_ns is not None and abs(t_ns - newest_ns) * NS > limit_s)
-
     def _lasts(self, cause: str, holds: bool, t_ns: int, for_s: float) -> bool:
         """Tell whether something has held for so long."""
         if not holds:
-            self._since_ns.pop(cause, None)
+            if cause in self._since_ns:
+                del self._since_ns[cause]
             return False
         since_ns = min(t_ns, self._since_ns.get(cause, t_ns))
         self._since_ns[cause] = since_ns

@@ -73,6 +73,7 @@ class Guard:
         self._config, self._envelope = config, envelope
         self._watch = Watch(config, window, envelope.pitch_trim_rad)
         self._last: Setpoint | None = None
+        self._seen: tuple[RelativeState | None, Near | None] = (None, None)
 
     def reset(self) -> None:
         """Forget the last setpoint, and since when anything has been wrong: guidance starts afresh, or time stepped."""
@@ -81,7 +82,13 @@ class Guard:
 
     def cause(self, view: View) -> str | None:
         """Return why to break away now, one of ``CAUSES`` (and what fails, behind a colon); None without a reason."""
-        return self._watch.cause(view)
+        return self._watch.cause(view, self._near(view.state))
+
+    def _near(self, state: RelativeState | None) -> Near | None:
+        """Return ``near_of`` a state, worked out once for all who ask in one step; None without a state."""
+        if state is not self._seen[0]:
+            self._seen = (state, None if state is None else near_of(state))
+        return self._seen[1]
 
     def passes(self, setpoint: Setpoint, view: View) -> Setpoint | Reject:
         """Return what may leave of a setpoint, or a Reject that says why nothing may."""
@@ -89,7 +96,7 @@ class Guard:
         if reason:
             return Reject(view.t_ns, "guard", reason)
         cut = self._cut(setpoint, view)
-        if self._refuses(cut):  # what it was cut by comes from the estimate, and may be anything
+        if not isinstance(cut, AttitudeSetpoint) and self._refuses(cut):  # by what the estimate says of box and frame
             return Reject(view.t_ns, "guard", "estimate_not_finite")
         self._last = cut
         return cut
@@ -111,12 +118,12 @@ class Guard:
         state = view.state
         if state is None or not abs(view.t_ns - state.estimate_t_ns) * NS <= self._envelope.estimate_stale_s:
             return "estimate_stale"
-        return "estimate_not_finite" if near_of(state) is None else ""
+        return "estimate_not_finite" if self._near(state) is None else ""
 
     def _cut(self, setpoint: Setpoint, view: View) -> Setpoint:
         """Return a setpoint that may leave, cut to what it may ask for."""
         e, state = self._envelope, view.state
-        near = None if state is None else near_of(state)
+        near = self._near(state)
         allowed_m_s = 0.0 if near is None else allowed_closure_m_s(self._config, near.range_m)
         if isinstance(setpoint, AttitudeSetpoint):
             if view.phase is Phase.BREAKAWAY:
