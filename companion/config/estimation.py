@@ -15,8 +15,8 @@ class FilterConfig(Struct, frozen=True, kw_only=True):
     of a centroid: calibration and light, as far as they change from frame to frame.
 
     ``*_initial_*``: standard deviation of the correction at the start, ``*_walk``: its growth per root of a second.
-    The GPS bias settles about zero with ``gps_bias_sigma_m`` in ``gps_bias_s``; another height datum is far more, and
-    is let in at the start by ``gps_bias_initial_m``. ``gate_probability``: how often a good measurement is refused.
+    The GPS bias is a Gauss-Markov process of ``gps_bias_sigma_m`` and ``gps_bias_s``: it walks as one of 1 m and 60 s
+    does (0.18 m per root of a second) and lets another height datum in at the start. ``gate_probability``: how often a good measurement is refused.
     ``horizon_s``: how late a measurement may come. A source that has been refused for ``refused_s`` and agrees with
     itself is believed again; labelled lights so only within ``vision_leads_m`` of the tanker. ``sight_lasts_s``: how
     long after the last sight single detections may be told apart by the filter.
@@ -31,9 +31,8 @@ class FilterConfig(Struct, frozen=True, kw_only=True):
     velocity_walk: float = 0.01
     attitude_initial_rad: float = 0.002
     attitude_walk: float = 5e-5
-    gps_bias_initial_m: float = 3.0
-    gps_bias_sigma_m: float = 1.0
-    gps_bias_s: float = 60.0
+    gps_bias_sigma_m: float = 3.0
+    gps_bias_s: float = 540.0
     boresight_initial_rad: float = 0.005
     boresight_walk: float = 1e-6
     lag_initial_s: float = 0.002
@@ -103,13 +102,12 @@ def fusion_rules(fusion: FusionConfig) -> Rules:
 
 def filter_rules(c: FilterConfig) -> Rules:
     """Return what has to hold of the filter."""
-    unknown = (c.velocity_initial_m_s, c.attitude_initial_rad, c.gps_bias_initial_m, c.gps_bias_sigma_m,
-               c.boresight_initial_rad, c.lag_initial_s)
-    walks = (c.velocity_walk, c.attitude_walk, c.boresight_walk, c.lag_walk)
+    spreads = ("velocity_initial_m_s", "velocity_walk", "attitude_initial_rad", "attitude_walk", "gps_bias_sigma_m",
+               "boresight_initial_rad", "boresight_walk", "lag_initial_s", "lag_walk")
     return [
         (min(c.gps_sigma_m, c.velocity_sigma_m_s, c.attitude_sigma_rad, c.pixel_sigma_px) > 0,
          "fusion.filter: gps_sigma_m, velocity_sigma_m_s, attitude_sigma_rad and pixel_sigma_px must be positive"),
-        (min(*unknown, *walks) >= 0, "fusion.filter: an initial spread or a walk must not be negative"),
+        *((getattr(c, name) >= 0, f"fusion.filter.{name} must not be negative") for name in spreads),
         (max(c.attitude_initial_rad, c.boresight_initial_rad) < 0.2,
          "fusion.filter: attitude_initial_rad and boresight_initial_rad must be below 0.2 rad: they are corrections"),
         (c.gps_bias_s > 0 and c.velocity_hold_s > 0 and c.refused_s > 0 and c.sight_lasts_s > 0,

@@ -56,7 +56,7 @@ class RelativeFilter:
         self._reader = FrameReader(config.filter, camera, markers, to_plane)
         self._steps = Steps(config.filter, markers)
         c = config.filter
-        self._attitude_cov = 2.0 * c.attitude_sigma_rad**2 * np.eye(3)
+        self._attitude_cov = c.attitude_sigma_rad**2 * np.eye(3)
         self._velocity_cov = 2.0 * c.velocity_sigma_m_s**2 * np.eye(3)
         self._gps_alone_m2 = 3.0 * c.gps_bias_sigma_m**2
         self.restart()
@@ -88,7 +88,7 @@ class RelativeFilter:
     def _take(self, m: Measurement) -> list[Output]:
         outcome = self._history.take(m)
         if isinstance(outcome, str):
-            return [FilterUpdate(m.t_ns, "pixels" if m.order[1] else "gps", float("nan"), 0, outcome)]
+            return [FilterUpdate(m.t_ns, "pixels" if m.order[1] else "gps", 0.0, 0, outcome)]
         return list(outcome.updates)
 
     def vision(self, seen: VisionOutput) -> list[Output]:
@@ -153,7 +153,7 @@ class RelativeFilter:
         J[3:, 16:19], J[3:, 19:22] = -R_cam_ned, R_cam_ned
         wide = np.zeros((22, 22))
         wide[:16, :16] = cov
-        wide[16:, 16:] = 0.5 * np.kron(np.eye(2), self._attitude_cov)
+        wide[16:, 16:] = np.kron(np.eye(2), self._attitude_cov)
         return J @ wide @ J.T
 
     def at(self, t_ns: int) -> Relative | None:
@@ -165,7 +165,7 @@ class RelativeFilter:
         x, cov = self._steps.carried(e, t_ns)
         out = cov[:9, :9].copy()
         out[V, V] += self._velocity_cov
-        out[THETA, THETA] += self._attitude_cov
+        out[THETA, THETA] += self._attitude_cov  # the tanker's; the receiver's turns only its own short levers
         return Relative(
             aligned=a,
             p_ned_m=a.travel_difference_m + x[P],

@@ -78,10 +78,10 @@ Source = Literal["gps", "pixels"]
 def initial_sigma(c: FilterConfig) -> Vec:
     """Return the standard deviations (16,) before any measurement; those of the position are replaced at the start."""
     sigma = np.empty(SIZE)
-    sigma[P] = np.hypot(np.sqrt(2.0) * c.gps_sigma_m, c.gps_bias_initial_m)
+    sigma[P] = np.hypot(np.sqrt(2.0) * c.gps_sigma_m, c.gps_bias_sigma_m)
     sigma[V] = c.velocity_initial_m_s
     sigma[THETA] = c.attitude_initial_rad
-    sigma[GPS_BIAS] = c.gps_bias_initial_m
+    sigma[GPS_BIAS] = c.gps_bias_sigma_m
     sigma[BORESIGHT] = c.boresight_initial_rad
     sigma[LAG] = c.lag_initial_s
     return sigma

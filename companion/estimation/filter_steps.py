@@ -5,8 +5,9 @@ Rules
 * A measurement is gated by its normalised innovation squared; markers one by one as well.
 * The start: three differences of positions that agree, or five poses. Never one alone.
 * A source that goes on being refused, and agrees with itself, is believed again (``refused_s``): GPS has another bias
-  then, and the position stays; labelled lights, near the tanker, put the position anew. Lights that are refused with no
-  pose to judge them by say that the filter is too sure: its covariance is widened. The reason says which.
+  then, and the position stays, unless nothing but GPS has ever said where that is; labelled lights, near the tanker,
+  put the position anew. Lights that are refused with no pose to judge them by say that the filter is too sure: its
+  covariance is widened. The reason says which.
 """
 
 from __future__ import annotations
@@ -90,7 +91,11 @@ class Steps:
         kept = (*e.gps_offsets, here)[-GPS_START:]
         e = replace(e, gps_offset=here, gps_offsets=kept)
         if len(kept) < GPS_START or not agreed(kept, AGREED_GPS_M):
-            return e, told(m, "gps", np.nan, 3, "start")
+            return e, told(m, "gps", 0.0, 0, "start")
+        return self._at_gps(e, m, kept), told(m, "gps", 0.0, 0, "start", taken=True)
+
+    def _at_gps(self, e: Estimate, m: GpsDifference, kept: tuple[Offset, ...]) -> Estimate:
+        """Return the estimate that begins where positions put it."""
         x, cov = self._anew(middle(kept), self._initial[P])
         # The position is known as well as the bias, and errs with it and with the lag.
         lag = self._c.lag_initial_s**2 * m.v_ned_tanker_m_s
@@ -98,16 +103,15 @@ class Steps:
         cov[P, P] = np.diag(self._initial[GPS_BIAS] ** 2 + gps) + np.outer(lag, m.v_ned_tanker_m_s)
         cov[P, GPS_BIAS] = cov[GPS_BIAS, P] = -np.diag(self._initial[GPS_BIAS] ** 2)
         cov[P, LAG] = cov[LAG, P] = -lag
-        started = replace(e, x=x, cov=cov, ready=True, gps_ns=m.t_ns, gps_offsets=())
-        return started, told(m, "gps", 0.0, 3, "start", taken=True)
+        return replace(e, x=x, cov=cov, ready=True, gps_ns=m.t_ns, gps_offsets=())
 
     def _pose_start(self, e: Estimate, m: PixelFrame) -> tuple[Estimate, Outcome]:
         if m.offset is None:
-            return e, told(m, "pixels", np.nan, 0, "start")
+            return e, told(m, "pixels", 0.0, 0, "start")
         kept = (*e.pixel_offsets, m.offset)[-POSES_START:]
         e = replace(e, pixel_offsets=kept)
         if len(kept) < POSES_START or not agreed(kept, AGREED_POSES_M):
-            return e, told(m, "pixels", np.nan, 0, "start")
+            return e, told(m, "pixels", 0.0, 0, "start")
         x, cov = self._anew(middle(kept), np.full(3, AGREED_POSES_M))
         return self._frame(replace(e, x=x, cov=cov, ready=True, pixel_offsets=()), m)
 
@@ -128,6 +132,8 @@ class Steps:
         e = replace(e, gps_offset=here, gps_offsets=kept)
         if not self._insists(kept, AGREED_GPS_M):
             return e, told(m, "gps", nis, 3, "gate")
+        if e.sight_ns is None:  # nothing but GPS has said where the tanker is
+            return self._at_gps(e, m, kept[-GPS_START:]), told(m, "gps", nis, 3, "position_anew")
         bias = middle(kept) - e.x[P] - m.v_ned_tanker_m_s * e.x[LAG]
         return replace(self._with_bias(e, bias), gps_ns=m.t_ns, gps_offsets=()), told(m, "gps", nis, 3, "bias_anew")
 
@@ -148,7 +154,7 @@ class Steps:
             return replace(e, sight_ns=m.t_ns, markers_used=seen), told(m, "pixels", 0.0, 0, "imagined", taken=True)
         pixels = m.labelled or self._told_apart(e, m)
         if pixels is None:
-            return e, told(m, "pixels", np.nan, 0, "no_labels")
+            return e, told(m, "pixels", 0.0, 0, "no_labels")
         after, outcome = self._pixels(e, m, pixels)
         if outcome.taken or not after.ready:
             return after, outcome
@@ -166,7 +172,7 @@ class Steps:
         status, total = take_pixels(x, cov, g.table, pixels.markers, pixels.uv, pixels.sigma, g.noise,
                                     self._marker_gate, alone, nis)
         if status == UNUSABLE:
-            return e, told(m, "pixels", np.inf, 2 * n, "geometry")
+            return e, told(m, "pixels", 0.0, 0, "geometry")
         if status != ALL_TAKEN:
             return e, told(m, "pixels", total, 2 * n, "gate")
         out = np.flatnonzero(nis < 0.0).tolist()
