@@ -178,8 +178,8 @@ class IntegrityMonitor:
         markers, t_ns = self._markers, state.t_ns
         if markers.separations is None or markers.separations_turning is None:
             return np.full(3, UNKNOWN_M)
-        away_m, cov_place = self._attitude.away(t_ns, turns=False)
-        turned_m, cov_turned = self._attitude.away(t_ns, turns=True)
+        away_m, cov_place = self._attitude.away(t_ns)
+        turned_m, cov_turned = self._attitude.turned(t_ns, state.T_cam_tanker.t)
         off_m = [(away_m + markers.separations.off_m), away_m[None], turned_m[None]]
         covs = [markers.separations.cov, cov_place[None], cov_turned[None]]
         common = R_mrf_cam @ markers.separations.common @ R_mrf_cam.T

@@ -4,8 +4,8 @@ Rules
 -----
 * The bias of a marker is judged by its deleted residual (``integrity_leave_out``), averaged over ``QUICK_S`` and over
   the window, in metres across the line of sight. Noise averages out, calibration, light and survey do not.
-* A mean beyond its threshold is a fault of the marker whose mean is farthest beyond it: one false marker makes the
-  residuals of the others large too (data snooping, Baarda 1968).
+* A mean beyond its threshold is a fault of the marker without which chi2, with the weights of the pose, falls most: one
+  false marker makes the residuals of the others large too (data snooping, Baarda 1968).
 * What the bias may be is remembered: while few markers are seen, what many have shown of a marker still holds, and
   grows by ``GROWTH_M_S``. A light does not move; its label can, which shows in a jump.
 * A marker inside the picture that has no label for long while ``ENOUGH`` others have is no fault: boom, light and the
@@ -146,25 +146,25 @@ class MarkerTest:
         """Take the deleted residuals into the means, and hold these to their thresholds."""
         k = left_out.tested
         which, depth_m, spread = frame.which[k], frame.depth_m[k], left_out.spread[k]
-        squared = np.zeros(len(self._ids))
+        beyond, fall = np.zeros(len(self._ids)), np.zeros(len(self._ids))
         for means in self._means.values():
             means.add(t_ns, which, left_out.deleted[k] * depth_m[:, None])
-            variance = (lasting[k] + passing[k] / means.count[which]) * depth_m**2
-            b = means.mean[which]
-            det = spread[:, 0, 0] * spread[:, 1, 1] - spread[:, 0, 1] ** 2
-            s = (spread[:, 1, 1] * b[:, 0] ** 2 - 2.0 * spread[:, 0, 1] * b[:, 0] * b[:, 1]
-                 + spread[:, 0, 0] * b[:, 1] ** 2) / (det * variance)
-            squared[which] = np.maximum(squared[which], s)
-        worst = int(np.argmax(squared))
+            squared = over_spread(means.mean[which], spread) / depth_m**2
+            variance = lasting[k] + passing[k] / means.count[which]
+            beyond[which] = np.maximum(beyond[which], squared / variance)
+            fall[which] = np.maximum(fall[which], squared / frame.variance[k])
+        worst = int(np.argmax(fall))
+        fails = (beyond > self._threshold).tolist()
         for i, alarm in enumerate(self._alarms):
-            beyond = squared[i] > self._threshold
-            alarm.update(t_ns, fails=bool(beyond and (i == worst or alarm.raised)))
+            alarm.update(t_ns, fails=(i == worst and any(fails)) or (alarm.raised and fails[i]))
         quick = self._means[QUICK_S]
-        widest = 0.5 * (spread[:, 0, 0] + spread[:, 1, 1]) + np.hypot(
-            0.5 * (spread[:, 0, 0] - spread[:, 1, 1]), spread[:, 0, 1])
-        sigma_m = np.sqrt(widest * (lasting[k] + passing[k] / quick.count[which])) * depth_m
+        self._remember(which, quick.mean[which],
+                       np.sqrt(widest(spread) * (lasting[k] + passing[k] / quick.count[which])) * depth_m)
+
+    def _remember(self, which: NDArray[np.int64], bias_m: Mat, sigma_m: Vec) -> None:
+        """Keep what is told of biases (k, 2) where it is better than what is known."""
         better = sigma_m <= self._sigma_m[which]
-        self._bias_m[which[better]] = quick.mean[which[better]]
+        self._bias_m[which[better]] = bias_m[better]
         self._sigma_m[which[better]] = sigma_m[better]
 
     def _separate(self, T: SE3, frame: Seen, left_out: LeftOut, lasting: Vec, *, turns: bool) -> Separations:
@@ -190,6 +190,19 @@ class MarkerTest:
             near = squared[np.arange(len(bare)), nearest] < BESIDE_M**2
             found[near] = off[near, nearest[near]]
         self._beside.take(seen.t_ns, bare[inside], found[inside])
+
+
+def over_spread(b: Mat, spread: NDArray[np.float64]) -> Vec:
+    """Return b^T spread^-1 b for vectors b (k, 2) and matrices (k, 2, 2)."""
+    p, q, r = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+    u, v = b[:, 0], b[:, 1]
+    return np.asarray((r * u * u - 2.0 * q * u * v + p * v * v) / (p * r - q * q))
+
+
+def widest(spread: NDArray[np.float64]) -> Vec:
+    """Return the larger eigenvalue of symmetric matrices (k, 2, 2)."""
+    p, q, r = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+    return np.asarray(0.5 * (p + r) + np.hypot(0.5 * (p - r), q))
 
 
 class _Means:

@@ -31,6 +31,8 @@ QUICK_S = 0.25
 SOURCE_ON_S, SOURCE_OFF_S = 1.0, 3.0
 TURN_ON_S = 0.3
 LATELY_S = 1.0
+UNTOLD_RAD, DRIFT_RAD_S = 0.05, 5e-5
+"""Standard deviation of the mount before any pose has found its own rotation, and what INS attitudes drift by."""
 LEAST_S = 0.5
 """Means count from so much seen time on."""
 LEAST_M = 1.5
@@ -110,25 +112,34 @@ class AttitudeTest:
         self._left = RunningMean(3, QUICK_S)  # the same against the estimate
         self._away = RunningMean(3, QUICK_S)
         self._boresight, self._attitude = Alarm(TURN_ON_S, SOURCE_OFF_S), Alarm(TURN_ON_S, SOURCE_OFF_S)
-        self._cov: Mat = np.zeros((6, 6))
-        self._lever: Mat = np.zeros((3, 6))
+        self._cov: Mat = np.diag([0.0] * 3 + [UNTOLD_RAD**2] * 3)
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Return the tests that fail."""
         return (("boresight",) if self._boresight.raised else ()) + (("attitude",) if self._attitude.raised else ())
 
-    def away(self, t_ns: int, *, turns: bool) -> tuple[Vec, Mat]:
+    def away(self, t_ns: int) -> tuple[Vec, Mat]:
         """Return the estimate's place less the vision's (3,), camera axes, and the covariance (3, 3) of the latter.
 
-        ``turns``: the vision's rotation orients the camera, not the INS and the mount (``integrity_leave_out.moves``).
-        Nothing, with no covariance, when there has been no pose lately that found its own rotation.
+        The camera is oriented by the INS and the mount. Nothing, with no covariance, when there has been no pose lately
+        that found its own rotation.
         """
         if not self._away.fresh(t_ns, LATELY_S):
             return np.zeros(3), np.zeros((3, 3))
-        if not turns:
-            return -self._away.mean, self._cov[:3, :3]
-        return -self._away.mean - self._lever[:, 3:] @ self._left.mean, self._lever @ self._cov @ self._lever.T
+        return -self._away.mean, self._cov[:3, :3]
+
+    def turned(self, t_ns: int, t_cam_m: Vec) -> tuple[Vec, Mat]:
+        """Return the same with the camera oriented by the vision's rotation (``integrity_leave_out.moves``).
+
+        When there has been no such pose lately, what the last ones said of the mount, growing by ``DRIFT_RAD_S``.
+        """
+        lever = np.hstack((IDENTITY, skew(t_cam_m)))
+        if self._away.fresh(t_ns, LATELY_S):
+            return -self._away.mean - lever[:, 3:] @ self._left.mean, lever @ self._cov @ lever.T
+        age_s = 0.0 if self._away.t_ns is None else (t_ns - self._away.t_ns) * NS
+        cov = self._cov[3:, 3:] + (DRIFT_RAD_S * age_s) ** 2 * IDENTITY
+        return -lever[:, 3:] @ self._left.mean, lever[:, 3:] @ cov @ lever[:, 3:].T
 
     def see(self, pose: PoseMeasurement, fused: FusedPose, noise_share: float) -> None:
         """Take a pose that found its own rotation; ``noise_share``: of its covariance, what does not average out."""
@@ -139,7 +150,6 @@ class AttitudeTest:
         self._turn.add(pose.t_ns, turn)
         self._quick.add(pose.t_ns, turn)
         self._cov = cov
-        self._lever = np.hstack((IDENTITY, skew(pose.T_cam_tanker.t)))
         sigma = np.sqrt(np.diag(cov)[3:])
         limit = np.maximum(self._config.boresight_rad, self._limit * sigma)
         off = np.abs(self._turn.mean)
