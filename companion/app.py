@@ -128,6 +128,9 @@ def run(setup: Setup, options: RunOptions) -> int:
                 autopilot.say(f"phase {output.new}: {output.reason}")
             elif isinstance(output, VisionModeChange):
                 autopilot.say(f"vision {output.mode}")
+            elif isinstance(output, Reject) and output.source in ("operator", "self_test"):
+                autopilot.say(f"{output.reason}: {output.detail}")
+                console.notice(f"{output.source}: {output.reason}, {output.detail}")
             elif isinstance(output, Reject) and output.reason == "silent":
                 console.notice(f"{output.source}: {output.detail}")
 

@@ -111,7 +111,7 @@ class Approach:
             return []
         if self.phase not in OBEYED.get(command, frozenset()):
             self._command = None
-            return [Reject(t_ns, "operator", f"{command}_not_now", f"{command}: not in phase {self.phase}")]
+            return [Reject(t_ns, "operator", f"{command}_not_now", f"phase {self.phase}")]
         if command in (Command.ENGAGE, Command.BREAKAWAY, Command.CLEAR):
             self._engaged = command is Command.ENGAGE
         gates = {Command.PRE_CONTACT: Phase.OBSERVATION, Command.CONTACT: Phase.PRE_CONTACT}

@@ -1,13 +1,15 @@
 """``companion command`` against a real link on the loopback."""
 
 import math
+import socket
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
-from companion.config import ConfigError, LinksConfig
+from companion.config import FIRMWARE_CONFIGS, ConfigError, LinksConfig
 from companion.io.clock import SimulatedClock
 from companion.io.mavlink import AutopilotLink, MavlinkUdp, dialect
 from companion.io.mavlink_codec import MavlinkCodec
@@ -122,3 +124,45 @@ def test_a_scenarios_operator_says_the_same(command):
     assert scheduled.frame(command) == Operator(LINKS).frame(command)
     events = AutopilotLink(LINKS).receive(scheduled.frame(command), 1)
     assert [e.command for e in events] == [command]
+
+
+@pytest.mark.slow
+def test_a_command_that_the_phase_has_no_use_for_is_told_in_words(tmp_path):
+    """A running companion accepts CONTACT on the link, and says that its phase has no use for it."""
+    text = (FIRMWARE_CONFIGS / "sitl" / "docking.toml").read_text(encoding="utf-8")
+    text = text.replace('"../', f'"{FIRMWARE_CONFIGS}/').replace("runs/tanker-datalink,19600", "")
+    text = text.replace("tcp://127.0.0.1:14560", "")
+    config = tmp_path / "alone.toml"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    config.write_text(text.replace("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{port}"), encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "companion", "run", str(config), "--out", str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )
+    try:
+        said = talk(port)
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+    assert "contact_not_now: phase standby" in said
+
+
+def talk(port, for_s=60.0):
+    """Be an autopilot and an operator until a STATUSTEXT tells of the contact; return the texts."""
+    autopilot, ours = MavlinkCodec(1, 1), MavlinkCodec(1, 1)
+    beat = dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_FIXED_WING, dialect.MAV_AUTOPILOT_GENERIC, 0, 0, dialect.MAV_STATE_ACTIVE, 3)
+    texts, end_s = [], time.monotonic() + for_s
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(("127.0.0.1", port))
+        link.settimeout(0.2)
+        while time.monotonic() < end_s and not any(text.startswith("contact") for text in texts):
+            try:
+                link.send(autopilot.pack(beat))
+                link.send(Operator(LINKS).frame(Command.CONTACT))
+                texts += [m.text for m, _ in ours.feed(link.recv(4096)) if m.get_type() == "STATUSTEXT"]
+            except (TimeoutError, ConnectionRefusedError):
+                time.sleep(0.2)  # not listening yet
+    return texts
