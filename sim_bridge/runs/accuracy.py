@@ -72,7 +72,7 @@ class Held:
 
 def observe(job: Job) -> Held:
     """Fly, and return what the table needs."""
-    return held_of(record_flight(job.label, job.scenario, job.setup), job)
+    return held_of(record_flight(job), job)
 
 
 def held_of(record: Record, job: Job) -> Held:

@@ -5,6 +5,8 @@ Rules
 * NEES, e^T P^-1 e, of what a consistent estimate says of three numbers follows chi squared of 3; the sum over N flights
   at one instant that of 3 N, whatever the time between instants does (Bar-Shalom, Li and Kirubarajan, Estimation with
   Applications to Tracking and Navigation, 2001, 5.4.2). Its mean over the flights is put beside the 95 % band.
+* What the filter estimates beside position and velocity, the camera's mount and the bias of GPS, is drawn for each
+  flight from what its configuration expects (``flights.with_drawn_errors``).
 * NIS likewise, by source, over what was taken; all samples within a second make one point.
 * Above the band the estimate is too sure of itself, which is unsafe; below it, it claims less than it knows.
 * Flights count while they last, instants while at least half of the flights do.
@@ -20,7 +22,7 @@ from scipy.stats import chi2
 
 from companion.geometry import Vec
 from companion.messages import Phase
-from sim_bridge.runs.flights import Method, Turbulence, far, fused_by, near
+from sim_bridge.runs.flights import Method, Turbulence, far, fused_by, near, with_drawn_errors
 from sim_bridge.runs.many import Job
 from sim_bridge.runs.options import FIRST_SEED
 from sim_bridge.runs.record import FUSED_EVERY, Record, record_flight
@@ -64,13 +66,14 @@ def jobs(flights: int, turbulence: Turbulence, method: Method | None, first_seed
             where, (scenario, setup) = "near", near(name, seed, NEAR_S, timeout_s=NEAR_S)
         else:
             where, (scenario, setup) = "far", far(name, seed, hold_s=FAR_S, timeout_s=FAR_S)
-        made.append(Job(f"{where} {seed}", scenario, setup if method is None else fused_by(setup, method)))
+        job = Job(f"{where} {seed}", scenario, setup if method is None else fused_by(setup, method))
+        made.append(with_drawn_errors(job))
     return made
 
 
 def observe(job: Job) -> Record:
     """Fly, and return the record with every fifth row."""
-    record = record_flight(job.label, job.scenario, job.setup)
+    record = record_flight(job)
     return replace(record, rows=record.rows[::FUSED_EVERY])
 
 

@@ -92,7 +92,7 @@ def draw_fault(rng: np.random.Generator) -> Fault:
 
 def observe(job: Job) -> Outcome:
     """Fly, and judge."""
-    return outcome(record_flight(job.label, job.scenario, job.setup), job)
+    return outcome(record_flight(job), job)
 
 
 def outcome(record: Record, job: Job) -> Outcome:

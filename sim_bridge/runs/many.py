@@ -31,11 +31,15 @@ END_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One flight to be flown; ``label`` names it in progress and among the crashed."""
+    """One flight to be flown; ``label`` names it in progress and among the crashed.
+
+    ``setup`` is what the companion believes; ``world`` what is true where that differs.
+    """
 
     label: str
     scenario: Scenario
     setup: Setup
+    world: Setup | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from companion.geometry import Mat, Vec, log_so3
 from companion.messages import NS, FilterState, FilterUpdate, Integrity, Output, Phase, PhaseChange, RelativeState
 from companion.vision.camera import T_frd_cam
 from sim_bridge.flight import Ending, LockstepCompanion, Unrecorded, run
+from sim_bridge.runs.many import Job
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import Safety
 from sim_bridge.simulation import BoxTruth, Simulation, nominal_heading_rad
@@ -82,14 +83,15 @@ class Record:
         return wanted
 
 
-def record_flight(label: str, scenario: Scenario, setup: Setup) -> Record:
+def record_flight(job: Job) -> Record:
     """Fly in lockstep without a recording on disk; a plant that fails ends the flight and is told."""
+    scenario, setup = job.scenario, job.setup
     warm_up(setup)
-    simulation = Simulation(scenario, setup)
+    simulation = Simulation(scenario, job.world or setup)
     tap = Tap(scenario, setup, lambda: companion.service.pipeline.fusion)
     companion = LockstepCompanion(setup, Unrecorded(), tap.watch, scenario.link.setpoint_delay_s)
     failure = run(simulation, companion, Ending(scenario.hold_s, scenario.timeout_s), tap.see)
-    return tap.record(label, scenario.seed, failure, simulation.fault_began_ns)
+    return tap.record(job.label, scenario.seed, failure, simulation.fault_began_ns)
 
 
 @dataclass(slots=True, eq=False)

@@ -11,13 +11,13 @@ from sim_bridge.scoring import score
 
 
 def whole(job):
-    return record_flight(job.label, job.scenario, job.setup)
+    return record_flight(job)
 
 
 @pytest.fixture(scope="module")
 def flown():
     scenario, setup = near("docking", 1001, 2.0)
-    return scenario, setup, record_flight("1001", scenario, setup)
+    return scenario, setup, record_flight(Job("1001", scenario, setup))
 
 
 def test_a_flight_in_a_worker_is_the_same_flight(flown):
