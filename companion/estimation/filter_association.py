@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.estimation.filter_kernel import expected_pixels
 from companion.estimation.filter_measurements import Geometry, MarkerPixels
+from companion.estimation.filter_pixels import expected_pixels
 from companion.geometry import Mat, Vec
 
 GATE = 13.8

@@ -37,7 +37,7 @@ class GpsDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """The aircraft about one exposure, as ``filter_kernel.marker_rows`` takes them; ``noise`` as ``widened`` does.
+    """The aircraft about one exposure, as ``filter_pixels.marker_rows`` takes them; ``noise`` as ``widened`` does.
 
     ``R_ned_cam`` (3, 3) by the receiver's INS and the nominal mount, ``lever_ned_m`` (3,) the camera from the
     receiver's centre of mass.

@@ -19,8 +19,9 @@ from scipy.special import chdtri
 
 from companion.config import FilterConfig
 from companion.estimation.filter_association import associate
-from companion.estimation.filter_kernel import ALL_TAKEN, UNUSABLE, predict, take_linear, take_pixels
+from companion.estimation.filter_kernel import predict, take_linear
 from companion.estimation.filter_measurements import GpsDifference, MarkerPixels, Measurement, PixelFrame
+from companion.estimation.filter_pixels import ALL_TAKEN, UNUSABLE, take_pixels
 from companion.estimation.filter_state import (
     BORESIGHT,
     GPS_BIAS,

@@ -10,8 +10,9 @@ from scipy.linalg import solve
 
 from companion.config import FilterConfig
 from companion.estimation.filter_history import FilterHistory
-from companion.estimation.filter_kernel import WIDE, marker_rows, predict, take_pixels
+from companion.estimation.filter_kernel import predict
 from companion.estimation.filter_measurements import PixelFrame
+from companion.estimation.filter_pixels import WIDE, marker_rows, take_pixels
 from companion.estimation.filter_state import SIZE, process_noise
 from companion.estimation.filter_steps import Steps
 
@@ -84,5 +85,5 @@ def test_bench_filter_step():
     reference = best_us(lambda: with_numpy(e.x, e.cov, m, dt))
     print(f"\nfilter, a frame of nine markers (18 scalars), 16 + 9 states: step {1e-3 * step:.3f} ms, kernels alone "
           f"{1e-3 * kernels:.3f} ms; of the time of numpy's matrices ({1e-3 * reference:.3f} ms): step "
-          f"{step / reference:.2f}, kernels {kernels / reference:.2f}; a measurement that comes 0.1 s late takes two to "
-          f"four steps")
+          f"{step / reference:.2f}, kernels {kernels / reference:.2f}; a measurement that comes 0.1 s late takes two "
+          f"to four steps")

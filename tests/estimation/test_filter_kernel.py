@@ -7,17 +7,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm
 
 from companion.config import FilterConfig
-from companion.estimation.filter_kernel import (
-    ALL_TAKEN,
-    NOTHING_TAKEN,
-    UNUSABLE,
-    WIDE,
-    marker_rows,
-    predict,
-    take_linear,
-    take_pixels,
-    take_scalar,
-)
+from companion.estimation.filter_kernel import predict, take_linear, take_scalar
+from companion.estimation.filter_pixels import ALL_TAKEN, NOTHING_TAKEN, UNUSABLE, WIDE, marker_rows, take_pixels
 from companion.estimation.filter_state import SIZE, initial_sigma, process_noise
 
 C = FilterConfig()
