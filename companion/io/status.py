@@ -4,7 +4,7 @@ Rules
 -----
 * HEARTBEAT leaves only while every stage in use is well; nothing has said so before the first ``Health``.
 * A stage that fails or is well again is one STATUSTEXT, at most ``TEXTS_HZ`` of them a second: what has not been told
-  when its stage changes again is told as it is then.
+  when its stage changes again is told as it is then. In the first ``START_NS`` nothing is: everything has to begin.
 * SYS_STATUS has the bits that MAVLink has a name for (``BITS``): vision position is the sight of the tanker, camera and
   vision together. Datalink, fusion and integrity have none and are told by STATUSTEXT only. Nothing in it is about
   batteries or loads: their fields say unknown.
@@ -20,6 +20,7 @@ from companion.messages import Health, StageHealth
 
 TEXTS_HZ = 4
 TEXT_NS = 1_000_000_000 // TEXTS_HZ
+START_NS = 2_000_000_000
 STATUS_NS = 1_000_000_000
 HEARTBEAT_NS = 1_000_000_000
 
@@ -47,6 +48,8 @@ class HealthReport:
 
     def take(self, health: Health) -> None:
         """Take how all stages are now."""
+        if not self._stages:
+            self._text_ns = health.t_ns + START_NS
         self.healthy = health.well
         self._stages = {stage.name: stage for stage in health.stages}
 

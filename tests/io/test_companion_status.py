@@ -81,6 +81,15 @@ def test_a_stage_that_fails_and_is_well_again_is_one_text_each():
     assert text.severity == dialect.MAV_SEVERITY_INFO
 
 
+def test_what_has_to_begin_first_is_not_called_a_failure_but_what_never_does_is():
+    for back_s, told in ((1.5, 0), (3.0, 2)):
+        link = AutopilotLink(LinksConfig())
+        link.health(health_of(camera="nothing yet"))
+        before = texts(heard(link, 0, back_s))
+        link.health(health_of())
+        assert len(before + texts(heard(link, back_s, 3))) == told
+
+
 def test_what_is_not_used_is_not_told():
     link = AutopilotLink(LinksConfig())
     link.health(health_of(unused=("datalink",), datalink="nothing yet"))
@@ -99,10 +108,13 @@ def test_when_everything_fails_at_once_the_texts_come_one_by_one():
 def test_a_text_that_has_been_overtaken_is_not_told():
     """Datalink fails and is well before its turn has come: nobody hears of it."""
     link = AutopilotLink(LinksConfig())
+    link.health(health_of())
+    heard(link, 0, 3)
     link.health(health_of(camera="frozen", vision="few_labels", datalink="stale"))
-    first = texts(heard(link, 0, 0.3))
+    first = texts(heard(link, 3, 0.3))
+    assert len(first) == 2
     link.health(health_of(camera="frozen", vision="few_labels"))
-    assert len(first + texts(heard(link, 0.3, 3))) == 2
+    assert texts(heard(link, 3.3, 3)) == []
 
 
 def test_sys_status_says_once_a_second_whether_the_tanker_is_seen():
