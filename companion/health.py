@@ -131,8 +131,8 @@ class HealthMonitor:
 
     def _time_step(self, step: TimeStep) -> None:
         """Begin anew, as estimation does: what was stamped before says nothing of now."""
-        del step
-        self._forget()
+        if not step.continuous:
+            self._forget()
 
     def _reject(self, reject: Reject) -> None:
         if reject.source == VISION:

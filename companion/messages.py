@@ -96,11 +96,17 @@ class GpsStatus:
 
 @dataclass(frozen=True, slots=True)
 class TimeStep:
-    """The clock that stamps ``source`` has stepped: what was stamped before lies ``step_ns`` beside what comes now."""
+    """The clock that stamps ``source`` has stepped against ours: stamps come ``step_ns`` later than they did before.
+
+    ``continuous``: its own stamps follow on one another all the while, so that it is ours that has gone on without the
+    world (a machine held up): what was stamped before moves by ``step_ns``, and stays true. Else (a reboot) nothing
+    that was stamped before can be put beside what comes now.
+    """
 
     t_ns: int
     source: str
     step_ns: int
+    continuous: bool = False
 
 
 class AutopilotMode(StrEnum):

@@ -60,6 +60,9 @@ class Aircraft:
         self.own_attitude = AttitudeHistory()
         self.tanker_motion = MotionHistory()
         self.tanker_attitude = AttitudeHistory()
+        self._watches()
+
+    def _watches(self) -> None:
         self._attitude_watch, self._tanker_attitude_watch = AttitudeWatch(), AttitudeWatch()
         self._motion_watch, self._tanker_watch = MotionWatch(), MotionWatch()
         self._attitude_content, self._position_content, self._tanker_content = Repetition(), Repetition(), Repetition()
@@ -109,9 +112,13 @@ class Aircraft:
         self.gps = m
 
     def time_step_event(self, m: TimeStep) -> None:
-        """A clock has stepped: what was stamped before cannot be put beside what comes now."""
-        del m
-        self.restart()
+        """A clock has stepped: move what was stamped before, or forget it where it belongs to no time any more."""
+        if not m.continuous:
+            self.restart()
+            return
+        for history in (self.own_motion, self.own_attitude, self.tanker_motion, self.tanker_attitude):
+            history.shift(m.step_ns)
+        self._watches()
 
     @property
     def attitude_ns(self) -> int | None:

@@ -91,6 +91,10 @@ class History(Generic[S]):
             at = max(0, at - surplus)
         return at
 
+    def shift(self, step_ns: int) -> None:
+        """Move all samples in time together; distances flown between them stay."""
+        self._t_ns = [t_ns + step_ns for t_ns in self._t_ns]
+
     def bracket(self, t_ns: int) -> Bracket[S] | None:
         """Return the samples about an instant, or None when there is none at or before it."""
         k = bisect_right(self._t_ns, t_ns) - 1

