@@ -23,46 +23,45 @@ STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": Fal
 DPI = 110
 BLUE, RED, GREEN, GREY = "#3d7ebf", "#d1495b", "#2e9e5b", "#888888"
 AXES = ("x (forward)", "y (right)", "z (down)")
-SPAN_DB = 10.0
-"""A NEES is drawn within this factor of its mean; what lies beyond is at the edge."""
+NEES_SPAN, NIS_SPAN = 10.0, 3.0
+"""Means are drawn within this factor of what is right; what lies beyond is at the edge."""
 
 
 def draw_consistency(groups: Mapping[str, Sequence[Record]], png: Path) -> None:
     """Draw mean NEES of each quantity and mean NIS of each source over time with the band, a colour for each group."""
     everything = [r for records in groups.values() for r in records]
     names = sources(everything)
-    rows = max(len(QUANTITIES), len(names))
+    rows = -(-(len(QUANTITIES) + len(names)) // 2)
     with mpl.rc_context(STYLE):
-        columns = 2 if names else 1
-        figure = Figure(figsize=(5.6 * columns, 1.9 * rows), layout="constrained")
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for k, (quantity, (name, *_)) in enumerate(QUANTITIES.items()):
+        figure = Figure(figsize=(11.0, 2.1 * rows + 0.4), layout="constrained")
+        panels = figure.subplots(rows, 2, squeeze=False).ravel()
+        for ax, (quantity, (name, *_)) in zip(panels, QUANTITIES.items(), strict=False):
             curves = {label: nees_curve(records, quantity) for label, records in groups.items()}
-            _curves(grid[k][0], curves, 3.0, f"NEES of {name}")
-        for k, source in enumerate(names):
+            _curves(ax, curves, 3.0, NEES_SPAN, f"NEES of {name}")
+        for ax, source in zip(panels[len(QUANTITIES):], names, strict=False):
             curves = {label: nis_curve(records, source) for label, records in groups.items()}
-            _curves(grid[k][1], curves, 1.0, f"NIS of {source}, per degree of freedom")
-        for ax in grid[:, 1:][len(names):].ravel() if names else ():
+            _curves(ax, curves, 1.0, NIS_SPAN, f"NIS of {source} / degrees of freedom")
+        for ax in panels[len(QUANTITIES) + len(names):]:
             ax.set_visible(False)
-        for column, count in zip(grid.T, (len(QUANTITIES), len(names)), strict=False):
-            column[count - 1].set_xlabel("time since the start, s")
+        for ax in panels[max(0, len(QUANTITIES) + len(names) - 2):]:
+            ax.set_xlabel("time since the start, s")
         _legend(figure, groups)
         figure.savefig(png, dpi=DPI)
 
 
-def _curves(ax: Axes, curves: dict[str, Curve], right: float, title: str) -> None:
+def _curves(ax: Axes, curves: dict[str, Curve], right: float, span: float, title: str) -> None:
     ax.axhline(right, color=GREY, lw=0.6)
     for curve, colour in zip(curves.values(), (BLUE, RED), strict=False):
-        shown = np.clip(curve.mean, right / SPAN_DB, right * SPAN_DB)
+        shown = np.clip(curve.mean, right / span, right * span)
         ax.fill_between(curve.t_s, curve.low, curve.high, color=colour, alpha=0.18, lw=0)
         ax.plot(curve.t_s, shown, color=colour, lw=0.9)
     ax.set_yscale("log")
-    ax.set_ylim(right / SPAN_DB, right * SPAN_DB)
-    ticks = [right * f for f in (0.1, 0.3, 1.0, 3.0, 10.0)]
+    ax.set_ylim(right / span, right * span)
+    ticks = [right * span**power for power in (-1.0, -0.5, 0.0, 0.5, 1.0)]
     ax.set_yticks(ticks, [f"{t:.2g}" for t in ticks])
     ax.minorticks_off()
     shares = ", ".join(f"{label} {100 * c.share_inside():.0f} %" for label, c in curves.items())
-    ax.set_title(f"{title}; inside the band: {shares}", loc="left")
+    ax.set_title(f"{title}; in the band {shares}", loc="left")
 
 
 def _legend(figure: Figure, groups: Mapping[str, Sequence[Record]]) -> None:
