@@ -39,7 +39,8 @@ class VelocityGains(Struct, frozen=True, kw_only=True):
 class GuardConfig(Struct, frozen=True, kw_only=True):
     """What every setpoint is held to, and when the receiver breaks away (``companion.guidance.guard``, ``causes``).
 
-    ``roll_rate_rad_s``, ``pitch_rate_rad_s``, ``thrust_rate_per_s``: how fast setpoints may change. Closing in:
+    ``roll_rate_rad_s``, ``pitch_rate_rad_s``, ``thrust_rate_per_s``: how fast setpoints may change; in moderate
+    turbulence the law asks for 2.7 and 0.9 at most, and for 2.1 in 99 steps of 100. Closing in:
     ``closure_m_s`` within ``closure_range_m`` of the box, and beyond what ``braking_m_s2`` takes away until there; a
     place to be at is at most ``offset_horizon_s`` of that farther in. The receiver itself is held to it forward;
     up and across gusts may add ``closure_gust_m_s``.
@@ -52,8 +53,8 @@ class GuardConfig(Struct, frozen=True, kw_only=True):
     pitched off trim beyond ``max_pitch_off_trim_rad``; gusts and noise do that for moments.
     """
 
-    roll_rate_rad_s: float = 1.0
-    pitch_rate_rad_s: float = 0.5
+    roll_rate_rad_s: float = 3.0
+    pitch_rate_rad_s: float = 1.0
     thrust_rate_per_s: float = 4.0
     closure_m_s: float = 1.0
     closure_range_m: float = 15.0
