@@ -97,3 +97,17 @@ def test_seeds_follow_each_other_and_the_last_flights_come_from_far():
     assert {job.scenario.turbulence for job in made} == {"moderate"}
     assert {job.setup.config.fusion.method for job in made} == {"blend"}
     assert made[0].scenario.start_tanker_m != made[-1].scenario.start_tanker_m
+
+
+def test_mounts_and_gps_are_drawn_anew_for_each_seed_and_only_in_the_world():
+    made = jobs(200, "light", "filter", first_seed=1000)
+    angles = np.array([[getattr(job.world.camera, f"mount_{name}_rad") - getattr(job.setup.camera, f"mount_{name}_rad")
+                        for name in ("yaw", "pitch", "roll")] for job in made])
+    expected = made[0].setup.config.fusion.filter
+    np.testing.assert_allclose(angles.std(axis=0), expected.boresight_initial_rad, rtol=0.2)
+    assert np.abs(angles.mean(axis=0)).max() < 0.25 * expected.boresight_initial_rad
+    assert made[0].setup.camera == made[1].setup.camera
+    again = jobs(1, "light", "filter", first_seed=1000)[0]
+    assert again.world.camera == made[0].world.camera
+    for aircraft in (made[0].scenario.sensors.receiver, made[0].scenario.sensors.tanker):
+        assert aircraft.gps.slow_sigma_m == pytest.approx(expected.gps_bias_sigma_m / np.sqrt(2))
