@@ -13,8 +13,8 @@ Rules
 * What contradicts, but has agreed with itself for ``BELIEVED_NS``, is how things are now: it is taken again
   (``Verdict.taken``) and counted once as ``jump_believed``. Anything good in between begins that time anew, so what is
   forged between the samples of the real vehicle is never believed.
-* After ``GAP_S`` without any sample there is nothing to contradict. A sample that comes late is held against the
-  history about it, and never begins to be believed.
+* After ``ATTITUDE_GAP_S``, ``MOTION_GAP_S`` without any sample there is nothing to contradict. A sample that comes late
+  is held against the history about it, and never begins to be believed.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ from companion.estimation.alignment import AttitudeHistory, MotionHistory
 from companion.geometry import Mat, Vec
 from companion.messages import NS
 
-FROZEN_NS = 200_000_000
+FROZEN_NS = 80_000_000
+"""Four attitudes of 50 Hz, the second repeat of a 25 Hz datalink: with the guard's 0.4 s it is within half a second."""
 BELIEVED_NS = 500_000_000
 CARRIED_NS = 60_000_000
-GAP_S = 0.3
+ATTITUDE_GAP_S, MOTION_GAP_S = 0.3, 1.0
+"""Body rates carry an attitude on for less long than velocities carry a position: 62 m in 0.3 s is no gust."""
 REACH_S = 0.15
 """Bounds grow with the time since the last good sample, but no longer than this: a jump must not pass by waiting."""
 MAX_LOAD_M_S2 = 30.0
@@ -113,21 +115,22 @@ class Persistence:
 class Silence:
     """How long nothing has come at all, good or bad."""
 
-    def __init__(self) -> None:
+    def __init__(self, gap_s: float) -> None:
+        self._gap_s = gap_s
         self._newest_ns: int | None = None
 
     def broken(self, t_ns: int) -> bool:
-        """Take a stamp; tell whether it is the first one after ``GAP_S`` without any."""
+        """Take a stamp; tell whether it is the first one, or the first after a gap without any."""
         last_ns = self._newest_ns
         self._newest_ns = t_ns if last_ns is None else max(t_ns, last_ns)
-        return last_ns is None or (t_ns - last_ns) * NS > GAP_S
+        return last_ns is None or (t_ns - last_ns) * NS > self._gap_s
 
 
 class MotionWatch:
     """Judges positions and velocities of one aircraft against its history."""
 
     def __init__(self) -> None:
-        self._silence = Silence()
+        self._silence = Silence(MOTION_GAP_S)
         self._offset_m: Vec | None = None  # position less travel, smoothed: constant while the two agree
         self._position = Persistence(POSITION_M)
         self._velocity = Persistence(VELOCITY_M_S + MAX_LOAD_M_S2 * REACH_S)
@@ -165,7 +168,7 @@ class AttitudeWatch:
     """Judges attitudes and body rates of one aircraft against its history."""
 
     def __init__(self) -> None:
-        self._silence = Silence()
+        self._silence = Silence(ATTITUDE_GAP_S)
         self._turned = Persistence(2.0 * math.sin(0.5 * ANGLE_RAD) * math.sqrt(2.0))
         self._rates = Persistence(RATE_RAD_S)
 
