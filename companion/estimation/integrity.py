@@ -46,7 +46,7 @@ from scipy.special import ndtri
 from companion.config import CornerPointConfig, IntegrityConfig, VisionConfig, WindowConfig
 from companion.config.structures import MarkerConfig
 from companion.estimation.integrity_alarm import Alarm, RunningMean
-from companion.estimation.integrity_markers import Eye, MarkerTest
+from companion.estimation.integrity_markers import Eye, MarkerTest, Separations
 from companion.estimation.integrity_sources import AttitudeTest, GpsTest, InnovationTest
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.messages import (
@@ -101,6 +101,7 @@ class IntegrityMonitor:
             test.restart()
         self._seen: VisionOutput | None = None
         self._filtered = self._entered = False
+        self._hypotheses: Separations | None = None
         self._many_ns: int | None = None
         self._misfits = RunningMean(1, RESIDUAL_S)
         self._residual = Alarm(RESIDUAL_S, RESIDUAL_S)
@@ -133,6 +134,7 @@ class IntegrityMonitor:
         T = fused.T_cam_tanker if pose is None else pose.T_cam_tanker
         many = int(np.count_nonzero(seen.labels >= 0)) >= self._vision.min_markers
         self._markers.see(seen, T, self._known_before(seen.t_ns))
+        self._hypotheses = None
         if pose is not None and many:
             self._many_ns = seen.t_ns
             self._gps.see(pose, fused)
@@ -175,22 +177,32 @@ class IntegrityMonitor:
 
     def _protection(self, state: RelativeState, R_mrf_ned: Mat, R_mrf_cam: Mat) -> Vec:
         """Return the protection levels (3,): without a fault, and the largest of all hypotheses."""
-        markers, t_ns = self._markers, state.t_ns
-        if markers.separations is None or markers.separations_turning is None:
+        if self._hypotheses is None:
+            self._hypotheses = self._gather(state)
+        h = self._hypotheses
+        if h is None:
             return np.full(3, UNKNOWN_M)
-        away_m, cov_place = self._attitude.away(t_ns)
-        turned_m, cov_turned = self._attitude.turned(t_ns, state.T_cam_tanker.t)
-        off_m = [(away_m + markers.separations.off_m), away_m[None], turned_m[None]]
-        covs = [markers.separations.cov, cov_place[None], cov_turned[None]]
-        common = R_mrf_cam @ markers.separations.common @ R_mrf_cam.T
-        if self._filtered:
-            off_m.append(turned_m + markers.separations_turning.off_m)
-            covs.append(markers.separations_turning.cov)
-            common = np.maximum(common, R_mrf_cam @ markers.separations_turning.common @ R_mrf_cam.T)
-        variance = np.diag(state.cov_mrf_br_m2) + np.diag(common)
-        of_hypotheses = ((R_mrf_cam @ np.concatenate(covs)) * R_mrf_cam).sum(axis=2)
-        d = np.abs(np.vstack(off_m) @ R_mrf_cam.T) + self._k_fault * np.sqrt(variance + of_hypotheses)
+        # The diagonals alone: of the estimate's covariance, and of h.cov (h, 3, 3) and h.common turned into mrf.
+        variance = state.cov_mrf_br_m2.diagonal() + ((R_mrf_cam @ h.common) * R_mrf_cam).sum(axis=1)
+        of_hypotheses = ((R_mrf_cam @ h.cov) * R_mrf_cam).sum(axis=2)
+        d = np.abs(h.off_m @ R_mrf_cam.T) + self._k_fault * np.sqrt(variance + of_hypotheses)
         gps = np.abs(R_mrf_ned @ self._gps.off_ned_m) * (1.0 - state.vision_weight)
         free = self._k_free * np.sqrt(variance)
         protection: Vec = np.minimum(np.maximum(free, d.max(axis=0)) + gps, UNKNOWN_M)
         return protection
+
+    def _gather(self, state: RelativeState) -> Separations | None:
+        """Put all hypotheses of the last frame side by side; None when nothing could be told from it."""
+        plain, turning = self._markers.separations, self._markers.separations_turning
+        if plain is None or turning is None:
+            return None
+        away_m, cov_place = self._attitude.away(state.t_ns)
+        turned_m, cov_turned = self._attitude.turned(state.t_ns, state.T_cam_tanker.t)
+        off_m = [away_m + plain.off_m, away_m[None], turned_m[None]]
+        covs = [plain.cov, cov_place[None], cov_turned[None]]
+        common = plain.common
+        if self._filtered:
+            off_m.append(turned_m + turning.off_m)
+            covs.append(turning.cov)
+            common = turning.common if np.trace(turning.common) > np.trace(common) else common
+        return Separations(np.vstack(off_m), np.concatenate(covs), common)

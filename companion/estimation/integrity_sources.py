@@ -59,6 +59,8 @@ class GpsTest:
         self._difference = RunningMean(3, self._config.window_s)  # tanker axes: GPS less vision
         self._variance = RunningMean(3, self._config.window_s)
         self._began_ns: int | None = None
+        self._judged_ns: int | None = None
+        self._beyond = [False, False, False]
         self._agreed_s = 0.0
         self._t_ns: int | None = None
         self._height, self._across = Alarm(SOURCE_ON_S, SOURCE_OFF_S), Alarm(SOURCE_ON_S, SOURCE_OFF_S)
@@ -82,16 +84,25 @@ class GpsTest:
         passed_s = 0.0 if self._t_ns is None else max((t_ns - self._t_ns) * NS, 0.0)
         self._t_ns = t_ns
         known = self._difference.fresh(t_ns, 1.0) and self._seen_s(t_ns) >= LEAST_S
-        self.off_ned_m = -(R_ned_tanker @ self._difference.mean) if known else np.zeros(3)
-        sigma = np.sqrt(self._config.gps_own_m**2 + np.abs(R_ned_tanker) ** 2 @ self._variance.mean)
-        beyond = np.abs(self.off_ned_m) > np.maximum(self._limit * sigma, LEAST_M)
-        height = self._height.update(t_ns, fails=bool(known and beyond[2]))
-        across = self._across.update(t_ns, fails=bool(known and (beyond[0] or beyond[1])))
+        if self._judged_ns != self._difference.t_ns:
+            self._judge(R_ned_tanker)
+        if not known:
+            self.off_ned_m = np.zeros(3)
+        north, east, down = self._beyond
+        height = self._height.update(t_ns, fails=known and down)
+        across = self._across.update(t_ns, fails=known and (north or east))
         if self.agreed:
             return (), ("gps",) if height or across else ()
         if known:
-            self._agreed_s = 0.0 if beyond.any() else self._agreed_s + min(passed_s, 0.1)
+            self._agreed_s = 0.0 if north or east or down else self._agreed_s + min(passed_s, 0.1)
         return (("height_datum",) if height else ()) + (("gps_vision",) if across else ()), ()
+
+    def _judge(self, R_ned_tanker: Mat) -> None:
+        """Hold the mean difference to its limits, once for each new frame."""
+        self._judged_ns = self._difference.t_ns
+        self.off_ned_m = -(R_ned_tanker @ self._difference.mean)
+        sigma = np.sqrt(self._config.gps_own_m**2 + R_ned_tanker**2 @ self._variance.mean)
+        self._beyond = (np.abs(self.off_ned_m) > np.maximum(self._limit * sigma, LEAST_M)).tolist()
 
     def _seen_s(self, t_ns: int) -> float:
         return 0.0 if self._began_ns is None else (t_ns - self._began_ns) * NS
