@@ -120,11 +120,9 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     path_duration_s: float = 50.0
     join_settle_s: float = 3.0
     join_tolerance_m: float = 2.5
-    off_path_m: float = 10.0
     join_range_m: float = 150.0
     max_closure_m_s: float = 2.0
     estimate_stale_s: float = 0.3
-    breakaway_stale_s: float = 1.0
     capture_s: float = 2.0
     max_roll_rad: float = 0.35
     max_pitch_offset_rad: float = 0.12
@@ -161,22 +159,20 @@ def guidance_rules(g: GuidanceConfig) -> Rules:
         (g.max_closure_m_s > 0, "guidance.max_closure_m_s must be positive metres per second"),
         (math.hypot(*g.pre_contact_m) > g.contact_near_m and g.pre_contact_m[0] < 0 <= g.pre_contact_m[2],
          "guidance.pre_contact_m must be aft of the box and not above it, more than contact_near_m away (metres)"),
-        (min(g.join_settle_s, g.observation_s, g.stabilise_s, g.may_dock_s, g.retreat_s, g.capture_s) >= 0,
+        (all(s >= 0 for s in (g.join_settle_s, g.observation_s, g.stabilise_s, g.may_dock_s, g.retreat_s, g.capture_s)),
          "guidance: join_settle_s, observation_s, stabilise_s, may_dock_s, retreat_s and capture_s must not be "
          "negative seconds"),
         (g.contact_timeout_s > g.capture_s, "guidance.contact_timeout_s must be more than capture_s, both in seconds"),
-        (min(g.stabilise_tolerance_m, g.contact_near_m, g.closure_m_s2, g.transit_m_s2) > 0,
+        (all(x > 0 for x in (g.stabilise_tolerance_m, g.contact_near_m, g.closure_m_s2, g.transit_m_s2)),
          "guidance: stabilise_tolerance_m, contact_near_m, closure_m_s2 and transit_m_s2 must be positive"),
         (0 < g.contact_closure_m_s <= g.approach_closure_m_s <= g.max_closure_m_s,
          "guidance: contact_closure_m_s, approach_closure_m_s and max_closure_m_s must be positive, in rising order"),
-        (min(g.join_range_m, g.off_path_m, g.breakaway_separation_m) > 0,
-         "guidance: join_range_m, off_path_m and breakaway_separation_m must be positive metres"),
+        (min(g.join_range_m, g.breakaway_separation_m) > 0,
+         "guidance: join_range_m and breakaway_separation_m must be positive metres"),
         (min(msgspec.structs.astuple(g.weights)) >= 0, "guidance.weights must not be negative"),
         (min(g.weights.roll, g.weights.pitch, g.weights.thrust) > 0,
          "guidance.weights: roll, pitch and thrust must be positive"),
         (0 < g.estimate_stale_s <= 1, "guidance.estimate_stale_s must be in 0..1 seconds"),
-        (g.estimate_stale_s <= g.breakaway_stale_s <= 10,
-         "guidance.breakaway_stale_s must be in estimate_stale_s..10 seconds"),
         (0 < g.max_roll_rad < math.pi / 2, "guidance.max_roll_rad must be in 0..pi / 2 (radians, not degrees)"),
         (0 < g.max_pitch_offset_rad < math.pi / 4,
          "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
