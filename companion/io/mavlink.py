@@ -20,32 +20,21 @@ from collections.abc import Callable
 
 from companion.config import LinksConfig
 from companion.io import telemetry
+from companion.io.autopilot_clock import NS_PER_MS, AutopilotClock
 from companion.io.mavlink_codec import MavlinkCodec, Message, dialect
 from companion.io.rate_requests import GpsRateRequest, RateRequests
 from companion.io.status import HealthReport, status_text
 from companion.io.telemetry import SOURCE
-from companion.io.timesync import WRAP_MS, ClockOffset, nearest_wrapped
+from companion.io.timesync import WRAP_MS
 from companion.io.transport import Address, UdpTransport
-from companion.messages import Event, Health, OperatorCommand, Reject, Setpoint, TimeStep
+from companion.messages import Event, Health, OperatorCommand, Reject, Setpoint
 from companion.ports import Clock
 
 __all__ = ["AutopilotLink", "MavlinkCodec", "MavlinkUdp", "Message", "dialect"]
 
 OnBytes = Callable[[int, bytes], None]
 
-NS_PER_MS = 1_000_000
-TIMESYNC_FIRST_NS = 100_000_000
-TIMESYNC_LATER_NS = 1_000_000_000
-TIMESYNC_FIRST_COUNT = 20
 SILENCE_NS = 3_000_000_000
-MAX_AGE_NS = 2_000_000_000
-MAX_AHEAD_NS = 50_000_000
-ODD_AGE_NS = 150_000_000
-ODD_AHEAD_NS = 20_000_000
-"""Telemetry that is older, or further ahead, than it ever should be says that a clock may have stepped."""
-ODD_STAMP_NS = 50_000_000
-STEP_FOUND_NS = 3_000_000_000
-"""A step is found within so long after it; stamps that have followed on one another for longer have not stepped."""
 
 STAMPED = {
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.own_attitude,
@@ -62,7 +51,7 @@ class AutopilotLink:
 
     def __init__(self, config: LinksConfig, on_bytes: OnBytes | None = None) -> None:
         self.codec = MavlinkCodec(config.system_id, config.component_id)
-        self.clock_offset = ClockOffset()
+        self.clock = AutopilotClock()
         self._health = HealthReport()
         self.last_heard_ns: int | None = None
         self._us = (config.system_id, config.component_id)
@@ -73,31 +62,26 @@ class AutopilotLink:
         self._refused: list[Event] = []
         self._rates = RateRequests(tuple(STAMPED))
         self._gps_rate = GpsRateRequest()
-        self._timesync_ns = 0
-        self._timesyncs = 0
-        self._odd = False
-        self._last_stamp: tuple[int, int] | None = None
-        self._broken_ns: int | None = None
 
     @property
     def offset_ns(self) -> int | None:
         """Autopilot's (GPS) clock minus companion's clock; None before the first TIMESYNC answer."""
-        return self.clock_offset.offset_ns
+        return self.clock.offset.offset_ns
 
     def to_companion_ns(self, autopilot_ns: int) -> int:
         """Return an instant of the autopilot's clock on ours; raises ValueError before the first TIMESYNC answer."""
-        return self.clock_offset.to_ours_ns(autopilot_ns)
+        return self.clock.offset.to_ours_ns(autopilot_ns)
 
     def to_autopilot_ns(self, companion_ns: int) -> int:
         """Return an instant of ours on the autopilot's clock; raises ValueError before the first TIMESYNC answer."""
-        return self.clock_offset.to_other_ns(companion_ns)
+        return self.clock.offset.to_other_ns(companion_ns)
 
     def receive(self, data: bytes, now_ns: int, from_autopilot: bool = True) -> list[Event]:
         """Take bytes that arrived at ``now_ns``, cut anywhere; return what they tell.
 
         ``from_autopilot`` False: the bytes came another way than the autopilot's do, so no telemetry is believed.
         """
-        self.clock_offset.slew(now_ns)
+        self.clock.offset.slew(now_ns)
         before = dict(self.codec.rejects)
         frames = self.codec.feed(data)
         events, self._refused = self._refused, []
@@ -127,38 +111,21 @@ class AutopilotLink:
 
     def _telemetry(self, message: Message, kind: int, now_ns: int) -> Event | None:
         if kind in STAMPED:
-            t_ns = self._stamp(message.time_boot_ms, now_ns)
+            t_ns = self.clock.stamp(message.time_boot_ms, now_ns)
             return t_ns if isinstance(t_ns, Reject) else STAMPED[kind](message, t_ns)
         if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             return telemetry.autopilot_status(message, now_ns)
         if kind == dialect.MAVLINK_MSG_ID_GPS_RAW_INT:
             self._gps_rate.heard(now_ns)
-            return telemetry.gps_status(message, self._gps_stamp(message.time_usec, now_ns))
+            return telemetry.gps_status(message, self.clock.gps_stamp(message.time_usec, now_ns))
         if kind == dialect.MAVLINK_MSG_ID_TIMESYNC:
-            return self._timesync(message.ts1, message.tc1, now_ns)
+            return self.clock.answer(message.ts1, message.tc1, now_ns)
         if kind == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             to_us = message.target_component in (0, self._us[1])
             interval = to_us and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL
             if interval and not self._gps_rate.answered():
                 self._rates.answered(message.result, now_ns)
         return None
-
-    def _timesync(self, ts1_ns: int, tc1_ns: int, now_ns: int) -> Event | None:
-        reason = self.clock_offset.answer(ts1_ns, tc1_ns, now_ns)
-        step_ns = self.clock_offset.take_step()
-        if step_ns:
-            continuous = self._broken_ns is None or now_ns - self._broken_ns > STEP_FOUND_NS
-            return TimeStep(now_ns, SOURCE, -step_ns, continuous)
-        if reason is None:
-            return None
-        if self.clock_offset.doubtful:
-            self._hurry(now_ns)
-        return Reject(now_ns, SOURCE, reason)
-
-    def _hurry(self, now_ns: int) -> None:
-        """Ask for the autopilot's clock now, and soon again."""
-        self._timesyncs = 0
-        self._timesync_ns = min(self._timesync_ns, now_ns + TIMESYNC_FIRST_NS)
 
     def is_silent(self, now_ns: int) -> bool:
         """Tell whether the autopilot has not been heard for 3 s, or never."""
@@ -168,40 +135,8 @@ class AutopilotLink:
         if self.is_silent(now_ns):
             self._rates.start(now_ns)
             self._gps_rate.start(now_ns)
-            self._timesyncs = 0
+            self.clock.hurry(now_ns)
         self.last_heard_ns = now_ns
-
-    def _stamp(self, boot_ms: int, now_ns: int) -> int | Reject:
-        """Return milliseconds since the autopilot's boot, modulo 2^32, on the companion's base."""
-        if self.offset_ns is None:
-            return Reject(now_ns, SOURCE, "no_timesync", "the autopilot's clock is not known yet")
-        self._follow(boot_ms, now_ns)
-        expected_ms = self.to_autopilot_ns(now_ns) // NS_PER_MS
-        t_ns = self.to_companion_ns(nearest_wrapped(boot_ms, WRAP_MS, expected_ms) * NS_PER_MS)
-        odd = not now_ns - ODD_AGE_NS <= t_ns <= now_ns + ODD_AHEAD_NS
-        if odd and not self._odd:
-            self._hurry(now_ns)
-        self._odd = odd
-        if now_ns - MAX_AGE_NS <= t_ns <= now_ns + MAX_AHEAD_NS:
-            return t_ns
-        reason = "future_stamp" if t_ns > now_ns else "stale_stamp"
-        return Reject(now_ns, SOURCE, reason, f"{(t_ns - now_ns) * 1e-9:+.3f} s from now")
-
-    def _follow(self, boot_ms: int, now_ns: int) -> None:
-        """Note when the autopilot's stamps do not follow on one another: too far ahead, or back beyond late ones."""
-        if self._last_stamp is not None:
-            last_ms, last_ns = self._last_stamp
-            passed_ns = nearest_wrapped(boot_ms - last_ms, WRAP_MS, 0) * NS_PER_MS
-            if not -ODD_STAMP_NS <= passed_ns <= now_ns - last_ns + ODD_STAMP_NS:
-                self._broken_ns = now_ns
-        self._last_stamp = boot_ms, now_ns
-
-    def _gps_stamp(self, time_us: int, now_ns: int) -> int:
-        """Return the instant of a fix: its own where that is on the autopilot's clock (it may be UTC), else now."""
-        if self.offset_ns is None:
-            return now_ns
-        t_ns = self.to_companion_ns(time_us * 1000)
-        return t_ns if now_ns - MAX_AGE_NS <= t_ns <= now_ns else now_ns
 
     def _command(self, message: Message, now_ns: int) -> Event | None:
         if (message.target_system, message.target_component) != self._us:
@@ -235,11 +170,8 @@ class AutopilotLink:
         """Return the answers that nobody has taken yet, and the periodic messages that are due."""
         messages = self._rates.due(now_ns, self._autopilot) + self._gps_rate.due(now_ns, self._autopilot)
         messages += self._health.due(now_ns)
-        if now_ns >= self._timesync_ns:
-            first = self._timesyncs < TIMESYNC_FIRST_COUNT
-            self._timesync_ns = now_ns + (TIMESYNC_FIRST_NS if first else TIMESYNC_LATER_NS)
-            self._timesyncs += 1
-            messages.append(dialect.MAVLink_timesync_message(0, self.clock_offset.request(now_ns)))
+        if self.clock.due(now_ns):
+            messages.append(dialect.MAVLink_timesync_message(0, self.clock.offset.request(now_ns)))
         return self.replies() + b"".join(self._pack(message, now_ns) for message in messages)
 
     def health(self, health: Health) -> None:

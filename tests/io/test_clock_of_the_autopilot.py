@@ -168,7 +168,7 @@ def test_a_second_vehicle_on_the_link_is_not_listened_to():
     events = [e for m in theirs for e in autopilot.hear(m, 14 * S, system=2)]
     assert [e.reason for e in events[:2]] == ["foreign_source"] * 2
     assert not [e for e in events if not isinstance(e, Reject)]
-    answer = dialect.MAVLink_timesync_message(5, autopilot.link.clock_offset.request(14 * S))
+    answer = dialect.MAVLink_timesync_message(5, autopilot.link.clock.offset.request(14 * S))
     autopilot.hear(answer, 14 * S + MS, system=2)
     assert autopilot.link.offset_ns == autopilot.ahead_ns
 
