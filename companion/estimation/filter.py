@@ -100,10 +100,10 @@ class RelativeFilter:
         geometry = geometry_of(a, self._aircraft.T_frd_cam, tanker_ns, self._config.filter)
         updates = self._take(self._reader.read(seen, geometry))
         e = self._history.before(seen.t_ns)
-        if e is None or not e.ready:
-            return updates
-        x, cov = self._steps.carried(e, seen.t_ns)
         T_gps = self._aircraft.T_cam_tanker(a, a.p_ned_gps_m)
+        if e is None or not e.ready:
+            return [*updates, FusedPose(seen.t_ns, T_gps, T_gps, 0.0, 0)]
+        x, cov = self._steps.carried(e, seen.t_ns)
         used = e.markers_used if e.sight_ns == seen.t_ns else 0
         fused = FusedPose(seen.t_ns, self._pose(a, x), T_gps, self._vision_weight(cov), used)
         return [*updates, fused, FilterState(seen.t_ns, x, np.sqrt(np.diag(cov)), cov)]
