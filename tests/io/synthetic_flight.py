@@ -120,19 +120,24 @@ class Flight:
         """Pose of the tanker in the camera."""
         return (self.uav(t) @ self.T_frd_cam).inverse() @ self.tanker(t)
 
-    def picture(self, t: float) -> tuple[np.ndarray, Mat, np.ndarray]:
-        """Sky with red discs, their centres (n, 2) and which markers they are (n,)."""
+    def seen(self, t: float) -> tuple[Mat, np.ndarray]:
+        """Where markers are in the picture (n, 2), and which they are (n,)."""
+        c = self.setup.camera
+        uv = project(c, self.T_cam_tanker(t), np.array([m.p_tanker_m for m in self.setup.tanker.markers]))
+        inside = np.flatnonzero(((uv > 2) & (uv < [c.width_px - 3, c.height_px - 3])).all(axis=1))
+        return uv[inside], inside
+
+    def picture(self, t: float) -> np.ndarray:
+        """Sky with red discs."""
         c = self.setup.camera
         sky = np.linspace(0.0, 1.0, c.height_px)[:, None, None] * np.array([40, 50, 30]) + np.array([110, 140, 190])
         image = np.ascontiguousarray(np.broadcast_to(sky, (c.height_px, c.width_px, 3)).astype(np.uint8))
-        uv = project(c, self.T_cam_tanker(t), np.array([m.p_tanker_m for m in self.setup.tanker.markers]))
-        inside = np.flatnonzero(((uv > 2) & (uv < [c.width_px - 3, c.height_px - 3])).all(axis=1))
-        for u, v in uv[inside]:
+        for u, v in self.seen(t)[0]:
             cv2.circle(image, (round(16 * u), round(16 * v)), 16 * 2, (230, 30, 30), -1, cv2.LINE_AA, 4)
-        return image, uv[inside], inside
+        return image
 
 
-def messages(setup: Setup, duration_s: float) -> Iterator[tuple[str, Event | Output]]:
+def messages(setup: Setup, duration_s: float, *, pictures: bool = True) -> Iterator[tuple[str, Event | Output]]:
     """Yield ("in" or "out", message) of a whole flight in the order of time, at the rates of the real one."""
     flight = Flight(setup)
     phase = Phase.STANDBY
@@ -147,6 +152,8 @@ def messages(setup: Setup, duration_s: float) -> Iterator[tuple[str, Event | Out
             yield from guidance_step(flight, t_ns, phase)
         if k % 5 == 0:
             yield "in", OwnPosition(t_ns, flight.uav(t).t, flight.R_ned_mrf @ [SPEED_M_S, 0.0, 0.0])
+            if pictures:
+                yield "in", CameraFrame(t_ns, k // 5, flight.picture(t))
             yield from camera_step(flight, t_ns, k // 5)
         if k % 4 == 0:
             T = flight.tanker(t)
@@ -223,10 +230,9 @@ def guidance_step(flight: Flight, t_ns: int, phase: Phase) -> Iterator[tuple[str
 
 
 def camera_step(flight: Flight, t_ns: int, sequence: int) -> Iterator[tuple[str, Event | Output]]:
-    """A picture and what vision made of it; now and then a picture without a pose."""
+    """What vision made of a picture; now and then one without a pose."""
     t = t_ns / 1e9
-    image, uv, marker = flight.picture(t)
-    yield "in", CameraFrame(t_ns, sequence, image)
+    uv, marker = flight.seen(t)
     T = flight.T_cam_tanker(t)
     markers = flight.setup.tanker.markers
     labels = np.full(len(markers), -1)

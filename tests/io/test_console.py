@@ -14,7 +14,7 @@ from companion.messages import Health, Integrity, Phase, PhaseChange
 
 def fly(console: Console, seconds: float) -> FlightConsole:
     with FlightConsole(synthetic_setup(), console) as shown:
-        for direction, message in messages(synthetic_setup(), seconds):
+        for direction, message in messages(synthetic_setup(), seconds, pictures=False):
             if direction == "out":
                 shown.output(message)  # type: ignore[arg-type]
     return shown
@@ -26,7 +26,7 @@ def test_without_a_terminal_plain_lines_tell_every_phase() -> None:
     text = out.getvalue()
     assert "\x1b" not in text
     lines = text.splitlines()
-    changes = [m for _, m in messages(synthetic_setup(), 31.0) if isinstance(m, PhaseChange)]
+    changes = [m for _, m in messages(synthetic_setup(), 31.0, pictures=False) if isinstance(m, PhaseChange)]
     health = [line for line in lines if "datalink" in line]
     assert health == ["t    3.0 s | datalink fails: stale for 0.5 s", "t    5.0 s | datalink is well again"]
     assert len(lines) == 1 + len(changes) + len(health) + 1
@@ -77,7 +77,7 @@ def test_a_terminal_that_cannot_redraw_gets_lines() -> None:
 def test_setpoints_that_stopped_are_at_zero_hertz() -> None:
     shown = FlightConsole(synthetic_setup(), Console(file=StringIO()))
     assert shown.setpoint_rate_hz() == 0.0
-    for _, message in messages(synthetic_setup(), 2.0):
+    for _, message in messages(synthetic_setup(), 2.0, pictures=False):
         if type(message).__name__ == "AttitudeSetpoint":
             shown.output(message)  # type: ignore[arg-type]
     assert shown.setpoint_rate_hz() == pytest.approx(50.0)

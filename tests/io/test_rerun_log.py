@@ -60,7 +60,7 @@ def drawn(folder: Path) -> Columns:
 
 
 def test_br_is_drawn_at_full_rate_and_in_full(drawn: Columns) -> None:
-    states = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, RelativeState)]
+    states = [m for _, m in messages(synthetic_setup(), SECONDS, pictures=False) if isinstance(m, RelativeState)]
     for k, axis in enumerate("xyz"):
         line = drawn[f"/plots/br/{axis}/estimate"]
         np.testing.assert_array_equal(np.ravel(line["scalars"]), [s.p_mrf_br_m[k] for s in states])
@@ -94,7 +94,7 @@ def test_the_receiver_is_drawn_where_it_is_from_the_tanker(drawn: Columns) -> No
 def test_the_scene_keeps_the_tanker_upright_whatever_the_heading() -> None:
     setup = synthetic_setup()
     flight, camera = Flight(setup), T_frd_cam(setup.camera)
-    states = [m for _, m in messages(setup, 1.0) if isinstance(m, RelativeState)]
+    states = [m for _, m in messages(setup, 1.0, pictures=False) if isinstance(m, RelativeState)]
     _, R_mrf_tanker, _ = scene_poses(states, camera.R, camera.t)
     R_mrf_ned = rotation_from_euler(HEADING, 0.0, 0.0).T
     for state, R in zip(states, R_mrf_tanker, strict=True):
@@ -112,14 +112,14 @@ def test_pictures_are_thinned_and_points_belong_to_them(drawn: Columns) -> None:
     assert picture.shape == (480, 640, 3)
     assert blue > red + 50  # the sky: colours are not swapped on their way
     flight = Flight(synthetic_setup())
-    _, uv, marker = flight.picture(0.0)
+    uv, marker = flight.seen(0.0)
     np.testing.assert_allclose(detected["centers"][0], uv + 0.5, atol=1e-4)
     ids = [str(flight.setup.tanker.markers[k].id) for k in marker]
     assert detected["labels"][0] == ids
 
 
 def test_fusion_and_setpoints_are_drawn(drawn: Columns) -> None:
-    fused = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FusedPose)]
+    fused = [m for _, m in messages(synthetic_setup(), SECONDS, pictures=False) if isinstance(m, FusedPose)]
     weights = drawn["/plots/fusion/vision_weight"]["scalars"]
     assert np.ravel(weights).tolist() == [f.vision_weight for f in fused]
     assert np.ravel(drawn["/plots/fusion/markers"]["scalars"]).tolist() == [f.markers_used for f in fused]
@@ -138,7 +138,7 @@ def test_phases_and_rejects_are_told(drawn: Columns) -> None:
 
 
 def test_trust_is_drawn_thinned_and_its_changes_in_full(drawn: Columns) -> None:
-    told = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, Integrity)]
+    told = [m for _, m in messages(synthetic_setup(), SECONDS, pictures=False) if isinstance(m, Integrity)]
     states = drawn["/trust"]
     assert list(np.ravel(states["state"])) == ["test fails", "beyond alert"]  # nothing is seen at t = 0
     assert seconds(states) == pytest.approx([0.0, 0.02])
@@ -166,7 +166,7 @@ def test_a_test_that_flickers_is_told_once_a_second(tmp_path: Path) -> None:
 
 
 def test_the_filter_is_drawn_in_the_units_of_its_plots(drawn: Columns) -> None:
-    states = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FilterState)]
+    states = [m for _, m in messages(synthetic_setup(), SECONDS, pictures=False) if isinstance(m, FilterState)]
     every = {round(m.t_ns / 1e9, 6): m for m in states}
     for plot, names, first, unit in (
         ("gps_bias", ("north", "east", "down"), 9, 1.0), ("boresight", ("pitch", "yaw", "roll"), 12, 1e3),
@@ -182,7 +182,7 @@ def test_the_filter_is_drawn_in_the_units_of_its_plots(drawn: Columns) -> None:
 
 
 def test_every_update_is_a_point_of_its_source_or_a_rejected_one(drawn: Columns) -> None:
-    updates = [m for _, m in messages(synthetic_setup(), SECONDS) if isinstance(m, FilterUpdate)]
+    updates = [m for _, m in messages(synthetic_setup(), SECONDS, pictures=False) if isinstance(m, FilterUpdate)]
     for name in ("gps", "pixels", "rejected"):
         mine = [m.nis / m.dof for m in updates if ("rejected" if m.reason else m.source) == name]
         assert len(mine) >= 3
