@@ -11,7 +11,9 @@ hazardous    may dock, e > a      the error is more than the window bears, and n
 held back    may not dock         whatever the error: nobody docks on it
 ============ ==================== ======================================================================
 
-A false "may dock" is misleading, hazardous, or an estimate inside the limit window whose truth is outside.
+A false "may dock" is misleading, hazardous, or, in contact and hold, where the receptacle has to be in the limit
+window, an estimate inside it whose truth is outside. On the way in estimate and truth cross its edge some millimetres,
+and so an instant, one after the other, which says nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 
 from companion.config import WindowConfig
 from companion.geometry import Mat, Vec
+from companion.messages import Phase
 from sim_bridge.runs.record import Record
 from sim_bridge.scoring import inside
 
@@ -34,9 +37,9 @@ EDGES = np.logspace(-4.0, 2.0, 91)
 class Judged:
     """Counts of instants: ``told`` with integrity; ``nominal``, ``misleading``, ``hazardous``, ``held_back`` (3,).
 
-    ``outside`` instants at which docking was allowed, the estimate inside the limit window and the truth outside.
-    ``allowed`` and ``refused`` (3, 90, 90) histograms of error and protection over ``EDGES``. ``first`` the first false
-    "may dock": instant in s, empty (0,) when there was none.
+    ``outside`` instants of contact and hold at which docking was allowed, the estimate inside the limit window and the
+    truth outside. ``allowed`` and ``refused`` (3, 90, 90) histograms of error and protection over ``EDGES``.
+    ``first_s`` instant of the first false "may dock", None when there was none.
     """
 
     told: int
@@ -65,7 +68,8 @@ def judge(record: Record, window: WindowConfig) -> Judged:
     e = np.abs(br - true)
     yes = may[:, None]
     hazardous, misleading = yes & (e > a), yes & (e <= a) & ~(e <= p)
-    outside = may & inside(br, window.limit_m) & ~inside(true, window.limit_m)
+    boxed = record.during(Phase.CONTACT, Phase.HOLD)[told]
+    outside = may & boxed & inside(br, window.limit_m) & ~inside(true, window.limit_m)
     false = outside | (hazardous | misleading).any(axis=1)
     return Judged(
         int(told.sum()), int(may.sum()), (yes & (e <= a) & (e <= p)).sum(axis=0), misleading.sum(axis=0),

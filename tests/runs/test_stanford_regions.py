@@ -53,6 +53,9 @@ def test_truth_outside_the_limit_window_while_the_estimate_is_inside_is_false():
     found = judged((-0.1, 0.0, 0.0), (0.2, 0.3, 0.4), 1.0, true=(2.15, 0.0, 0.0))
     assert found.outside == 1
     assert found.false
+    told = {"protection_m": 0.2, "alert_m": ALERT, "may_dock": 1.0}
+    on_the_way = rows_of(1, br_true_m=(2.11, 0.0, 0.0), br_m=(2.09, 0.0, 0.0), **told)
+    assert not judge(record_of(on_the_way, changes=((0.0, "standby"), (0.0, "approach"))), WINDOW).false
     assert judged((-0.02, 0.0, 0.0), (0.2, 0.3, 0.4), 1.0, true=(2.15, 0.0, 0.0)).outside == 0  # it knows
 
 
