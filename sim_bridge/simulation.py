@@ -37,6 +37,8 @@ from sim_bridge.truth import Truth
 
 STEP_NS = 5_000_000
 TRUTH_EVERY = 4  # steps: 50 Hz
+RADIO = (Command.BREAKAWAY, Command.DISCONNECT)
+"""What the receiver's operator says on the radio too, so that the boom lets go."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,8 +162,8 @@ class Simulation:
         mavlink = self._faults.mavlink(self.autopilot.outgoing(t_ns), t_ns)
         for command in self._operator.due(t_ns):
             mavlink += self._operator.frame(command)
-            if command is Command.BREAKAWAY:  # the whole formation hears it on the radio
-                self.world.boom.disconnect("breakaway called")
+            if command in RADIO:  # the boom's operator hears it
+                self.world.boom.disconnect(f"{command} called")
         frames = self._faults.frames(self._camera.delivered(t_ns), t_ns)
         arrivals = Arrivals(t_ns, mavlink, self._serial.due(t_ns), frames)
         self.world.step(effectors)
