@@ -27,8 +27,8 @@ FROM_NEAR_S = 25.0
 
 def near(name: str, seed: int, hold_s: float, **scenario_fields: Any) -> tuple[Scenario, Setup]:
     """Return a flight of a scenario that begins 5 m from the box, the thesis' one path, by detections."""
-    fields = {"start_tanker_m": START_TANKER_M, "hold_s": hold_s, "timeout_s": hold_s + FROM_NEAR_S, **scenario_fields}
-    scenario = replace(load_scenario(name), seed=seed, vision_input="detections", **fields)
+    fields = {"vision_input": "detections", "start_tanker_m": START_TANKER_M, "timeout_s": hold_s + FROM_NEAR_S}
+    scenario = replace(load_scenario(name), seed=seed, hold_s=hold_s, **{**fields, **scenario_fields})
     setup = with_guidance(scenario.setup(), procedure="direct", self_test=False, path_duration_s=PATH_S)
     return scenario, setup
 
