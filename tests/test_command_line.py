@@ -20,8 +20,10 @@ from companion.config import FIRMWARE_CONFIGS
 from companion.io.recorder import read_records
 from sim_bridge.datalink import PtyLink
 
+DIRECT = 'auto_engage = true\nprocedure = "direct"\npath_duration_s = 10.0\n'
 WHOLE_FOLDER = {"summary.json", "flight.rrd", "telemetry.tlog", "events.jsonl", "config.toml", "versions.json"}
 SUMMARY = {
+    "phases", "health", "integrity", "filter", "input_latency",
     "docked", "hold_s", "in_window_fraction", "br_mean_m", "br_sigma_m", "br_max_m", "time_to_window_s", "latency_ms",
     "frames", "frames_with_pose", "rejects", "seed", "scenario", "law", "pose_solver", "fusion", "breakaway",
 }
@@ -182,7 +184,7 @@ def test_stopping_sitl_leaves_no_companion_behind(tmp_path):
 @pytest.mark.slow
 def test_sitl_docks_on_the_wall_clock(tmp_path):
     """The thesis' camera from 5 m behind the box: two processes, UDP, a pty and a frame socket."""
-    toml = companion_toml(tmp_path, "auto_engage = true\npath_duration_s = 10.0\n")
+    toml = companion_toml(tmp_path, DIRECT)
     scenario = tmp_path / "thesis-near.toml"
     scenario.write_text(
         f'name = "thesis-near"\ncompanion = "{toml}"\nstart_tanker_m = [-33.0, -2.0, 12.0]\nseed = 230\nhold_s = 8.0\n'
@@ -206,7 +208,7 @@ def test_sitl_docks_on_the_wall_clock(tmp_path):
 
 @pytest.mark.slow
 def test_lockstep_by_command_writes_the_same_summary(tmp_path):
-    toml = companion_toml(tmp_path, "auto_engage = true\npath_duration_s = 10.0\n")
+    toml = companion_toml(tmp_path, DIRECT)
     scenario = tmp_path / "flight.toml"
     scenario.write_text(
         f'name = "flight"\ncompanion = "{toml}"\nstart_tanker_m = [-33.0, -2.0, 12.0]\nhold_s = 5.0\n', encoding="utf-8"
