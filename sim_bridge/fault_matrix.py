@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 
 from companion.app import warm_up
-from companion.config import Setup
+from companion.config import Setup, Vec3
 from companion.messages import (
     NS,
     AttitudeSetpoint,
@@ -39,15 +39,19 @@ from sim_bridge.scenario import Scenario, load_scenario
 from sim_bridge.scoring import Safety
 from sim_bridge.simulation import BoxTruth, Simulation, nominal_heading_rad
 
-WATCH_S = 7.0
+WATCH_S = 6.0
 BREAKAWAY_WATCH_S = 4.0
 REACTION_S = 0.5
+NEAR_M, FARTHER_M = (-32.0, -0.5, 10.5), (-42.0, -3.0, 18.0)
+"""Where flights begin, in tanker axes: 5 m and 18 m from where the receptacle is in the box."""
 HELD, BREAKAWAY, STANDBY = "held", "breakaway", "standby"
 EITHER = "held or breakaway"
 OBSERVATION = "observation"
 """Not cleared any farther."""
 UNSEEN = ("sight lost", "integrity failed")
 """Why, when vision gives nothing that could be believed: no pose, or one that guarantees too little."""
+BLIND = ("attitude stale", "sight lost")
+"""Why, when there is no attitude: without one nothing is looked for in pictures either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +69,15 @@ class Cell:
     because_s: float | None = 0.0
     rejects: tuple[str, ...] = ()
     watch_s: float = WATCH_S
+    start_tanker_m: Vec3 = NEAR_M
 
 
 def _cell(fault: str, ends: str, why: str, *causes: str, name: str = "", because_s: float | None = 0.0,
-          rejects: tuple[str, ...] = (), watch_s: float = WATCH_S) -> Cell:
+          rejects: tuple[str, ...] = (), watch_s: float = WATCH_S, start: Vec3 = NEAR_M) -> Cell:
     """Return the cell of one fault, 1 s into the hold unless it says when."""
     when = fault if "@" in fault else f"{fault}@hold+1"
     name = name or fault.partition("@")[0].replace(".", "-")
-    return Cell(name, (when,), ends, why, causes, because_s, rejects, watch_s)
+    return Cell(name, (when,), ends, why, causes, because_s, rejects, watch_s, start)
 
 
 MATRIX: tuple[Cell, ...] = (
@@ -98,14 +103,15 @@ MATRIX: tuple[Cell, ...] = (
     _cell("gps.slow", HELD, "vision carries the position"),
     _cell("gps.delayed", HELD, "vision carries the position"),
     _cell("gps.intermittent", HELD, "vision carries the position"),
-    _cell("attitude.off", BREAKAWAY, "without attitude there is no estimate", "attitude stale"),
-    _cell("attitude.stuck", BREAKAWAY, "an attitude that repeats bit for bit is none", "attitude stale"),
-    _cell("attitude.garbage", BREAKAWAY, "no aircraft turns like that", "attitude stale"),
+    _cell("attitude.off", BREAKAWAY, "without attitude there is no estimate", *BLIND),
+    _cell("attitude.stuck", BREAKAWAY, "an attitude that repeats bit for bit is none", *BLIND),
+    _cell("attitude.garbage", BREAKAWAY, "no aircraft turns like that", *BLIND),
     _cell("attitude.wrong", BREAKAWAY, "vision and INS disagree about roll", *UNSEEN),
-    _cell("attitude.slow", HELD, "5 a second, carried on by the body rates"),
-    _cell("attitude.delayed", BREAKAWAY, "too old to fly on", "estimate lost", "attitude stale"),
+    _cell("attitude.slow", EITHER, "5 a second, carried on by the body rates, or vision tells that badly", *UNSEEN,
+          because_s=None),
+    _cell("attitude.delayed", BREAKAWAY, "too old to fly on", "estimate lost", *BLIND),
     _cell("attitude.intermittent", EITHER, "gaps of 0.3 s are bridged by the body rates, or vision tells that badly",
-          "integrity failed", because_s=None),
+          *UNSEEN, because_s=None),
     _cell("heartbeat.off", BREAKAWAY, "three seconds without one", "autopilot lost", because_s=3.0),
     _cell("heartbeat.stuck", HELD, "it says what is true all the same"),
     _cell("heartbeat.garbage", BREAKAWAY, "no checksum holds", "autopilot lost", because_s=3.0),
@@ -136,35 +142,37 @@ MORE: tuple[Cell, ...] = (
           rejects=("datalink.not_finite",)),
     _cell("gps.drag", HELD, "vision carries the position"),
     _cell("attitude.late", BREAKAWAY, "attitudes stamped 0.3 s too new contradict vision", *UNSEEN, because_s=0.3),
-    _cell("attitude.nan", BREAKAWAY, "values that are none are refused", "attitude stale",
+    _cell("attitude.nan", BREAKAWAY, "values that are none are refused", *BLIND,
           rejects=("mavlink.not_finite",)),
-    _cell("position.off", BREAKAWAY, "where the receiver goes is not told any more", "position stale"),
-    _cell("position.stuck", BREAKAWAY, "a receiver that flies does not stand still", "position stale"),
-    _cell("position.garbage", BREAKAWAY, "no aircraft flies like that", "position stale"),
+    _cell("position.off", BREAKAWAY, "where the receiver goes is not told any more", "position stale", "sight lost"),
+    _cell("position.stuck", BREAKAWAY, "a receiver that flies does not stand still", "position stale", "sight lost"),
+    _cell("position.garbage", BREAKAWAY, "no aircraft flies like that", "position stale", "sight lost"),
     _cell("position.wrong", HELD, "vision carries the position"),
     _cell("position.slow", HELD, "5 a second, carried on by the velocity"),
-    _cell("position.delayed", BREAKAWAY, "too old to fly on", "estimate lost", "position stale"),
-    _cell("position.intermittent", HELD, "gaps of 0.3 s are bridged"),
+    _cell("position.delayed", BREAKAWAY, "too old to fly on", "estimate lost", "position stale", "sight lost"),
+    _cell("position.intermittent", EITHER, "gaps of 0.3 s are bridged, or the swing that they make is seen", *UNSEEN,
+          because_s=None),
     _cell("position.late", BREAKAWAY, "velocities of 0.3 s ago swing up until vision contradicts", *UNSEEN,
           because_s=None),
-    _cell("position.nan", BREAKAWAY, "values that are none are refused", "position stale",
+    _cell("position.nan", BREAKAWAY, "values that are none are refused", "position stale", "sight lost",
           rejects=("mavlink.not_finite",)),
     _cell("link.second_vehicle", HELD, "another system's telemetry and commands are not ours",
           rejects=("mavlink.foreign_source",)),
     _cell("link.forged", HELD, "attitudes that no aircraft could turn to are refused"),
-    _cell("clock.backwards", BREAKAWAY, "stamps that go back are refused", "attitude stale"),
+    _cell("clock.backwards", BREAKAWAY, "stamps that go back are refused", *BLIND),
     _cell("clock.step", BREAKAWAY, "what was stamped before cannot be put beside what comes after"),
     _cell("camera.boresight@0", OBSERVATION, "a mount that is 1 degree off is seen before anybody closes in",
-          name="mount-off-at-first", watch_s=20.0),
+          name="mount-off-at-first", watch_s=15.0, start=FARTHER_M),
     _cell("lights.moved@0", EITHER, "a light that is not where the map has it is left out", name="map-wrong-at-first",
-          watch_s=32.0, because_s=None),
+          watch_s=22.0, because_s=None),
     _cell("datalink.height@0", OBSERVATION, "another height datum is seen before anybody closes in",
-          name="height-datum-at-first", watch_s=20.0),
-    _cell("camera.off@approach+3", BREAKAWAY, "nothing is seen any more", "sight lost", name="approach-camera-off"),
-    _cell("datalink.off@approach+3", BREAKAWAY, "where the tanker goes is not told any more",
+          name="height-datum-at-first", watch_s=15.0, start=FARTHER_M),
+    _cell("camera.off@approach+1.5", BREAKAWAY, "nothing is seen any more", "sight lost", name="approach-camera-off"),
+    _cell("datalink.off@approach+1.5", BREAKAWAY, "where the tanker goes is not told any more",
           "datalink stale", name="approach-datalink-off"),
-    _cell("gps.wrong@approach+3", HELD, "vision carries the position", name="approach-gps-wrong", watch_s=15.0),
-    _cell("attitude.off@approach+3", BREAKAWAY, "without attitude there is no estimate", "attitude stale",
+    _cell("gps.wrong@approach+1.5", EITHER, "vision carries the position, or is not let to when GPS contradicts so far",
+          "integrity failed", because_s=None, name="approach-gps-wrong", watch_s=15.0),
+    _cell("attitude.off@approach+1.5", BREAKAWAY, "without attitude there is no estimate", *BLIND,
           name="approach-attitude-off"),
 )
 """What else goes wrong."""
@@ -173,13 +181,13 @@ MORE: tuple[Cell, ...] = (
 def matrix_flight(cell: Cell, seed: int, **scenario_fields: Any) -> tuple[Scenario, Setup]:
     """Return scenario and companion of a cell: the thesis' camera, detections, a refuelling's phases made short."""
     scenario = msgspec.structs.replace(
-        load_scenario("thesis"), name=cell.name, seed=seed, start_tanker_m=(-34.0, -1.0, 12.0), hold_s=60.0,
+        load_scenario("thesis"), name=cell.name, seed=seed, start_tanker_m=cell.start_tanker_m, hold_s=60.0,
         timeout_s=90.0, vision_input="detections", faults=tuple(map(parse_fault, cell.faults)), **scenario_fields,
     )
     setup = scenario.setup()
     guidance = msgspec.structs.replace(
-        setup.config.guidance, auto_engage=True, auto_gates=True, self_test=False, pre_contact_m=(-4.0, 0.0, 1.5),
-        join_settle_s=1.0, observation_s=0.5, stabilise_s=1.0, may_dock_s=0.5, capture_s=0.5, contact_near_m=1.0,
+        setup.config.guidance, auto_engage=True, auto_gates=True, self_test=False, pre_contact_m=(-2.5, 0.0, 1.0),
+        join_settle_s=1.0, observation_s=0.5, stabilise_s=0.5, may_dock_s=0.5, capture_s=0.5, contact_near_m=0.5,
     )
     config = msgspec.structs.replace(setup.config, guidance=guidance)
     return scenario, msgspec.structs.replace(setup, config=config)

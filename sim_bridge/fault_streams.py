@@ -69,6 +69,7 @@ class Tamper(Generic[T]):
         """Return what arrives at ``t_ns`` when ``samples`` would."""
         elapsed_s = self._window.elapsed_s(t_ns)
         if elapsed_s is None:
+            self._kept = samples[-1] if samples else self._kept
             return [*self._due(t_ns), *samples]
         arriving = [tampered for sample in samples for tampered in self._tampered(sample, t_ns, elapsed_s)]
         return [*self._due(t_ns), *arriving]

@@ -8,7 +8,8 @@ Rules
 * What was not measured is None: without a hold there is no mean of BR. The share inside the window is 0.0 then.
 * Safety is scored over the whole flight (``Safety``). In contact and hold the receptacle has to be in the limit box
   below the tanker; in every other phase, breakaway too, it may be aft of it, below it or beside it, but never forward
-  of it or above it. A collision is a centre of mass in the space of the tanker.
+  of it or above it. In standby a pilot flies, or the autopilot by itself. A collision, a centre of mass in the space of
+  the tanker, counts in any phase.
 """
 
 from __future__ import annotations
@@ -100,11 +101,13 @@ class Safety:
         br, t_ns = np.array(self._br), np.array(self._t_ns)
         forward_or_above = np.maximum(br[:, 0] - self._limit_m[0], -br[:, 2] - self._limit_m[2])
         outside_box = (np.abs(br) - self._limit_m).max(axis=1)
-        boxed = np.zeros(len(br), dtype=bool)
-        for change, end_ns in zip(phases, [*(c.t_ns for c in phases[1:]), t_ns[-1] + 1], strict=True):
-            if change.new in (Phase.CONTACT, Phase.HOLD):
-                boxed |= (t_ns >= change.t_ns) & (t_ns < end_ns)
-        return np.maximum(np.where(boxed, outside_box, forward_or_above), 0.0)
+        outside_m = np.zeros(len(br))
+        for change, end_ns in zip(phases, [*(c.t_ns for c in phases[1:]), t_ns[-1] + 1], strict=False):
+            meant = (t_ns >= change.t_ns) & (t_ns < end_ns)
+            if change.new is not Phase.STANDBY:
+                boxed = change.new in (Phase.CONTACT, Phase.HOLD)
+                outside_m[meant] = (outside_box if boxed else forward_or_above)[meant]
+        return np.maximum(outside_m, 0.0)
 
 
 def refuelling(boom: Boom) -> dict[str, Any]:

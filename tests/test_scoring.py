@@ -10,7 +10,8 @@ from hypothesis.extra.numpy import arrays
 from companion.config import WindowConfig
 from companion.messages import Phase, PhaseChange
 from sim_bridge.scenario import Scenario
-from sim_bridge.scoring import Series, score, statistics
+from sim_bridge.scoring import Safety, Series, score, statistics
+from sim_bridge.truth import BodyState, BoomState, Truth
 
 WINDOW = WindowConfig()
 SCENARIO = Scenario(name="s", companion="c.toml", hold_s=20.0)
@@ -139,3 +140,58 @@ def test_more_time_outside_never_scores_better(axis: int, br_m: float, samples: 
     longer = score(approach(excursion(axis, br_m, samples * STEP_S)), ENTERED, WINDOW, SCENARIO)
     assert longer["in_window_fraction"] <= shorter["in_window_fraction"]
     assert shorter["docked"] or not longer["docked"]
+
+
+# ---- safety ----------------------------------------------------------------------------------------------------------
+
+BROKE = [change(1.0, Phase.APPROACH, Phase.HOLD), change(2.0, Phase.HOLD, Phase.BREAKAWAY)]
+
+
+def body(p_ned_m, t_ns) -> BodyState:
+    zero = np.zeros(3)
+    return BodyState(t_ns, np.array(p_ned_m, dtype=float), zero, np.eye(3), zero, zero, zero)
+
+
+def watched(way) -> Safety:
+    """Return the score of a receiver at places (n, 3) below the tanker, BR with it, 50 Hz."""
+    safety = Safety(WINDOW)
+    box_to_centre = np.array([-30.0, 0.0, 10.0])
+    for k, br in enumerate(way):
+        t_ns = k * 20_000_000
+        boom = BoomState(np.zeros(3), 0.5, 0.0, 10.0)
+        truth = Truth(t_ns, body(box_to_centre + br, t_ns), body((0.0, 0.0, 0.0), t_ns), boom, np.zeros(10))
+        safety.see(truth, np.array(br, dtype=float))
+    return safety
+
+
+def still(seconds, br=(0.0, 0.0, 0.0)):
+    return [br] * round(seconds * 50)
+
+
+@pytest.mark.parametrize(("way", "outside_m"), [
+    (still(3.0), 0.0),
+    (still(1.5) + still(0.1, (0.0, 2.4, 0.0)) + still(1.4), 0.3),  # beside the box in the hold
+    (still(1.5) + still(0.1, (-2.3, 0.0, 0.0)) + still(1.4), 0.2),  # behind it in the hold
+    (still(2.0) + still(1.0, (-20.0, 5.0, 20.0)), 0.0),  # aft, down and beside it in a breakaway
+    (still(2.5) + still(0.5, (2.5, 0.0, 0.0)), 0.4),  # forward of it in a breakaway
+    (still(2.5) + still(0.5, (0.0, 0.0, -3.0)), 0.44),  # above it in a breakaway
+    (still(0.5, (9.0, 0.0, 0.0)) + still(2.5), 0.0),  # in standby somebody else flies
+])
+def test_the_limit_box_below_the_tanker_is_not_left(way, outside_m) -> None:
+    assert watched(way).result(BROKE)["outside_limit_m"] == pytest.approx(outside_m)
+
+
+def test_a_collision_is_a_centre_of_mass_in_the_space_of_the_tanker() -> None:
+    clear, hit = watched(still(3.0)).result(BROKE), watched([*still(3.0), (1.0, 0.0, -5.0)]).result(BROKE)
+    assert (clear["collision"], clear["closest_m"]) == (False, 4.0)
+    assert (hit["collision"], hit["closest_m"]) == (True, 0.0)
+
+
+@pytest.mark.parametrize(("fault_s", "delay_s"), [(1.6, 0.4), (2.0, 0.0), (2.1, None), (None, None)])
+def test_the_delay_of_a_breakaway_counts_from_the_fault(fault_s, delay_s) -> None:
+    told = watched(still(3.0)).result(BROKE, None if fault_s is None else round(1e9 * fault_s))
+    assert told["breakaway_delay_s"] == (None if delay_s is None else pytest.approx(delay_s))
+
+
+def test_nothing_seen_is_nothing_said() -> None:
+    assert set(Safety(WINDOW).result(BROKE).values()) == {None}
