@@ -43,7 +43,7 @@ WATCH_S = 6.0
 BREAKAWAY_WATCH_S = 4.0
 REACTION_S = 0.5
 NEAR_M, FARTHER_M = (-32.0, -0.5, 10.5), (-42.0, -3.0, 18.0)
-"""Where flights begin, in tanker axes: 5 m and 18 m from where the receptacle is in the box."""
+"""Where flights begin, in tanker axes: 3.4 m and 16 m from the box."""
 HELD, BREAKAWAY, STANDBY = "held", "breakaway", "standby"
 EITHER = "held or breakaway"
 OBSERVATION = "observation"
