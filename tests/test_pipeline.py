@@ -16,6 +16,8 @@ from companion.messages import (
     AutopilotStatus,
     CameraFrame,
     Command,
+    FilterState,
+    FilterUpdate,
     FusedPose,
     GuidanceOutput,
     Health,
@@ -85,7 +87,8 @@ def run(events, pipeline=None):
 
 
 def kinds(outputs):
-    return [type(o) for o in outputs if not isinstance(o, Health)]
+    """Return what came, in its order, without health and the filter's own diary."""
+    return [type(o) for o in outputs if not isinstance(o, Health | FilterUpdate | FilterState)]
 
 
 def rejects(outputs):
@@ -96,23 +99,24 @@ def rejects(outputs):
 def test_level_flight_gives_poses_states_and_setpoints():
     outputs = run(flight())
     count = Counter(kinds(outputs))
-    assert count[VisionOutput] == count[FusedPose] == 10
-    assert count[RelativeState] == count[AttitudeSetpoint] == count[GuidanceOutput] == 50
+    assert count[VisionOutput] == 10
+    assert 7 <= count[FusedPose] <= 10  # the filter needs a quarter of a second to begin
+    assert count[RelativeState] == count[AttitudeSetpoint] == count[GuidanceOutput] >= 37
     assert not rejects(outputs)
     setup = shipped()
     br = PLACE + R_OWN @ setup.airframe.receptacle_frd_m - R_TANKER @ setup.tanker.box_tanker_m
     last = [o for o in outputs if isinstance(o, RelativeState)][-1]
-    assert last.vision_weight == 1.0
+    assert last.vision_weight > 0.99
     assert np.allclose(last.p_mrf_br_m, br, atol=0.1)  # markers are painted on whole pixels
 
 
 def test_a_setpoint_comes_after_what_it_follows_from():
     pipeline = Pipeline(shipped())
-    run(flight(0.2), pipeline)
-    for event in motion(200 * MS):
-        assert pipeline.handle(event) == []
-    assert kinds(pipeline.handle(picture(200 * MS, 99)))[:2] == [VisionOutput, FusedPose]
-    step = kinds(pipeline.handle(Tick(200 * MS)))
+    run(flight(0.6), pipeline)
+    for event in motion(600 * MS):
+        assert kinds(pipeline.handle(event)) == []
+    assert kinds(pipeline.handle(picture(600 * MS, 99)))[:2] == [VisionOutput, FusedPose]
+    step = kinds(pipeline.handle(Tick(600 * MS)))
     assert [k for k in step if k is not Health] == [RelativeState, Integrity, GuidanceOutput, AttitudeSetpoint]
 
 
@@ -142,9 +146,9 @@ def test_without_one_of_the_three_there_is_no_state(missing):
 
 
 def test_without_a_heartbeat_there_is_a_state_and_no_setpoint():
-    outputs = run([e for e in flight(0.3) if not isinstance(e, AutopilotStatus)])
+    outputs = run([e for e in flight(0.6) if not isinstance(e, AutopilotStatus)])
     count = Counter(kinds(outputs))
-    assert count[RelativeState] == 15
+    assert count[RelativeState] >= 15
     assert not count.keys() & {AttitudeSetpoint, GuidanceOutput, PhaseChange}
 
 
@@ -160,18 +164,18 @@ def test_stamps_that_do_not_go_forward_are_rejected_by_source():
 
 def test_a_picture_that_repeats_bit_for_bit_is_a_frozen_camera():
     pipeline = Pipeline(shipped())
-    run(flight(0.3), pipeline)
-    stuck = picture(300 * MS, 1, seed=5)
+    run(flight(0.6), pipeline)
+    stuck = picture(600 * MS, 1, seed=5)
     outputs = []
     for k in range(4):
-        run(motion((300 + 20 * k) * MS), pipeline)
-        outputs += pipeline.handle(replace(stuck, t_ns=(300 + 20 * k) * MS, sequence=k))
+        run(motion((600 + 20 * k) * MS), pipeline)
+        outputs += pipeline.handle(replace(stuck, t_ns=(600 + 20 * k) * MS, sequence=k))
     assert kinds(outputs)[:2] == [VisionOutput, FusedPose]
     assert rejects(outputs) == {("camera", "frozen"): 3}
     one_pixel = stuck.image.copy()
     one_pixel[17, 3, 2] ^= 1
-    run(motion(400 * MS), pipeline)
-    assert not rejects(pipeline.handle(CameraFrame(400 * MS, 9, one_pixel)))
+    run(motion(700 * MS), pipeline)
+    assert not rejects(pipeline.handle(CameraFrame(700 * MS, 9, one_pixel)))
 
 
 def test_a_projected_picture_may_repeat():
@@ -188,12 +192,13 @@ def test_a_projected_picture_may_repeat():
 
 def test_a_picture_of_the_wrong_size_is_rejected_and_the_estimate_goes_on():
     pipeline = Pipeline(shipped())
-    run(flight(0.3), pipeline)
-    run(motion(300 * MS), pipeline)
-    seen, fused = pipeline.handle(CameraFrame(300 * MS, 7, np.zeros((480, 640, 3), np.uint8)))
-    assert rejects([seen]) == {("vision", "frame_size"): 1}
+    run(flight(0.6), pipeline)
+    run(motion(600 * MS), pipeline)
+    outputs = pipeline.handle(CameraFrame(600 * MS, 7, np.zeros((480, 640, 3), np.uint8)))
+    assert rejects(outputs) == {("vision", "frame_size"): 1}
+    [fused] = [o for o in outputs if isinstance(o, FusedPose)]
     assert fused.markers_used == 0
-    assert fused.vision_weight == 1.0  # the last blend, carried on
+    assert fused.vision_weight > 0.99  # carried on
 
 
 @pytest.mark.parametrize("method", ["mutual_nearest", "robust"])
@@ -204,7 +209,7 @@ def test_a_picture_of_somewhere_else(method):
     where the tanker is.
     """
     near_by = PLACE + np.array([8.0, 0.0, -3.2])
-    events = [picture(e.t_ns, e.sequence, near_by) if isinstance(e, CameraFrame) else e for e in flight(0.4)]
+    events = [picture(e.t_ns, e.sequence, near_by) if isinstance(e, CameraFrame) else e for e in flight(1.5)]
     setup = shipped()
     labeling = msgspec.structs.replace(setup.config.vision.labeling, method=method)
     vision = msgspec.structs.replace(setup.config.vision, labeling=labeling)
@@ -212,12 +217,13 @@ def test_a_picture_of_somewhere_else(method):
     outputs = run(events, Pipeline(setup))
     fused = [o for o in outputs if isinstance(o, FusedPose)]
     if method == "mutual_nearest":
-        assert rejects(outputs) == {("vision", "residual"): 4}
-        assert all(o.markers_used == 0 and o.vision_weight == 0.0 for o in fused)
+        assert rejects(outputs) == {("vision", "residual"): 15}
+        assert all(o.markers_used == 0 and o.vision_weight < 0.1 for o in fused)
     else:
         T = (SE3(R_OWN, near_by) @ T_frd_cam(setup.camera)).inverse() @ SE3(R_TANKER, np.zeros(3))
         assert not rejects(outputs)
-        assert all(np.allclose(o.T_cam_tanker.t, T.t, atol=0.3) for o in fused)
+        believed = [np.allclose(o.T_cam_tanker.t, T.t, atol=0.3) for o in fused]
+        assert all(believed[10:])  # poses that agree with each other for a while, against GPS
 
 
 def test_gps_that_jumps_does_not_move_what_vision_alone_is_flown_on():
