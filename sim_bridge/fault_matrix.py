@@ -153,7 +153,7 @@ MORE: tuple[Cell, ...] = (
     _cell("position.intermittent", EITHER, "gaps of 0.3 s are bridged, or the swing that they make is seen", *UNSEEN,
           because_s=None),
     _cell("position.late", BREAKAWAY, "velocities of 0.3 s ago swing up until vision contradicts", *UNSEEN,
-          because_s=None),
+          "estimate lost", because_s=None),
     _cell("position.nan", BREAKAWAY, "values that are none are refused", "position stale", "sight lost",
           rejects=("mavlink.not_finite",)),
     _cell("link.second_vehicle", HELD, "another system's telemetry and commands are not ours",
