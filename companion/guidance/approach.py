@@ -14,7 +14,7 @@ from companion.guidance.guard import Guard, View, envelope_of
 from companion.guidance.lasting import Lasting
 from companion.guidance.laws import make_law
 from companion.guidance.modes import OBEYED, Limits, PhaseMachine, Situation
-from companion.guidance.path import Closure, Path, Reference, closure, cubic, retreat, station
+from companion.guidance.path import Closure, Path, Reference, back_off, closure, cubic, retreat, station
 from companion.guidance.self_test import SelfTest
 from companion.messages import (
     NS,
@@ -37,7 +37,8 @@ STABLE_SPEED_M_S = 0.2
 """Of the mean over ``SETTLED_MEAN_S``, in the join and at the pre-contact point, where closure is zero: gusts alone
 move two aircraft against each other faster for moments."""
 SETTLED_MEAN_S = 2.0
-HEARTBEAT_STALE_S = 3.0
+SELF_TESTS, TRY_AGAIN_S = 3, 3.0
+"""So many self-tests, so far apart, before an engagement that no operator gave is over."""
 DIRECT_M_S = 0.8
 """Peak of the direct procedure's cubic, which is at half the way, where the guard allows 1 m/s and a little more."""
 BOX = np.zeros(3)
@@ -61,11 +62,13 @@ class Approach:
         self._law = make_law(airframe, config)
         self._path: Path | None = None
         self._station = station(BOX)
-        self._engaged = config.auto_engage
+        self._engaged = self._by_itself = config.auto_engage  # by itself: until it flies, or an operator says something
+        self._tests = 0
         self._cleared = False
         self._operator_only = False  # an operator took the receiver back: no gate opens by itself
         self._command: Command | None = None
         self._status: AutopilotStatus | None = None
+        self._integrity: Integrity | None = None
         self._lasting = Lasting()
         self._mean_speed = np.zeros(3)
         self._phase_ns = 0
@@ -87,12 +90,14 @@ class Approach:
     def step(
         self, t_ns: int, state: RelativeState | None, sources: Sources, integrity: Integrity | None
     ) -> list[Output]:
-        """Run one step; at most one Setpoint is among the outputs. No ``integrity`` monitor: it is not asked."""
-        if self._direct:
-            integrity = None
+        """Run one step; at most one Setpoint is among the outputs.
+
+        No ``integrity`` monitor: it is not asked. Once it has spoken, its verdict holds in steps in which it does not.
+        """
+        self._integrity = None if self._direct else integrity or self._integrity
         outputs = self._obey(t_ns)
-        fresh = state is not None and (t_ns - state.estimate_t_ns) * NS <= self._config.estimate_stale_s
-        view = self._view(t_ns, state, sources, integrity)
+        fresh = state is not None and abs(t_ns - state.estimate_t_ns) * NS <= self._config.estimate_stale_s
+        view = self._view(t_ns, state, sources, self._integrity)
         cause = self._guard.cause(view)
         self._breakaway.see(view)
         self._watch(view, state if fresh else None)
@@ -109,14 +114,33 @@ class Approach:
         command = self._command
         if command is None:
             return []
-        if self.phase not in OBEYED.get(command, frozenset()):
+        refusal = self._refusal(command, t_ns)
+        if refusal:
             self._command = None
-            return [Reject(t_ns, "operator", f"{command}_not_now", f"phase {self.phase}")]
+            return [Reject(t_ns, "operator", f"{command}_not_now", refusal)]
         if command in (Command.ENGAGE, Command.BREAKAWAY, Command.CLEAR):
-            self._engaged = command is Command.ENGAGE
+            self._engaged, self._by_itself, self._tests = command is Command.ENGAGE, False, 0
         gates = {Command.PRE_CONTACT: Phase.OBSERVATION, Command.CONTACT: Phase.PRE_CONTACT}
         self._cleared = self._cleared or gates.get(command) is self.phase
         return []
+
+    def _refusal(self, command: Command, t_ns: int) -> str:
+        """Return why there is no use for a command now; empty when there is."""
+        if self.phase not in OBEYED.get(command, frozenset()):
+            return f"phase {self.phase}"
+        if command is Command.PRE_CONTACT and self._direct:
+            return "the direct procedure does not come from there"
+        if command is Command.ENGAGE and not self._is_guided(t_ns):  # nor later by itself, when nobody expects it
+            return "the autopilot is not armed and guided" if self._is_heard(t_ns) else "the autopilot is silent"
+        return ""
+
+    def _is_heard(self, t_ns: int) -> bool:
+        s = self._status
+        return s is not None and abs(t_ns - s.t_ns) * NS <= self._config.guard.heartbeat_lost_s
+
+    def _is_guided(self, t_ns: int) -> bool:
+        s = self._status
+        return s is not None and self._is_heard(t_ns) and s.armed and s.mode is AutopilotMode.GUIDED
 
     def _view(
         self, t_ns: int, state: RelativeState | None, sources: Sources, integrity: Integrity | None
@@ -157,20 +181,22 @@ class Approach:
         return bool(error @ error < within_m**2 and self._mean_speed @ self._mean_speed < speed_m_s**2)
 
     def _situation(self, view: View, cause: str | None) -> Situation:
-        t_ns, state, s = view.t_ns, view.state, self._status
-        heard = s is not None and (t_ns - s.t_ns) * NS < HEARTBEAT_STALE_S
-        guided = heard and s is not None and s.armed and s.mode is AutopilotMode.GUIDED
+        t_ns, state = view.t_ns, view.state
+        guided = self._is_guided(t_ns)
+        taken_over = self._is_heard(t_ns) and not guided
+        if taken_over and self.phase is Phase.STANDBY and not self._by_itself:
+            self._engaged = False
         follows = self._self_test.result(t_ns) if self.phase is Phase.SELF_TEST else None
         automatic = self._config.auto_gates and not self._operator_only
         since = self._lasting.since
         return Situation(
-            estimate_age_s=None if state is None else (t_ns - state.estimate_t_ns) * NS,
+            estimate_age_s=None if state is None else abs(t_ns - state.estimate_t_ns) * NS,
             guided=guided,
-            engaged=self._engaged,
+            engaged=self._engaged and (not self._tests or (t_ns - self._phase_ns) * NS >= TRY_AGAIN_S),
             command=self._command,
             cause=cause,
-            taken_over=heard and not guided,
-            in_corridor=state is not None and self._in_corridor(state.p_mrf_br_m),
+            taken_over=taken_over,
+            in_corridor=state is not None and self._in_corridor(state.p_mrf_br_m, seen=self._lasting.holds("observed")),
             cleared=self._cleared or automatic,
             tested=None if follows is None else not follows.fault,
             settled_s=since("settled", t_ns),
@@ -182,10 +208,14 @@ class Approach:
             phase_s=(t_ns - self._phase_ns) * NS,
         )
 
-    def _in_corridor(self, p_mrf_br_m: Vec) -> bool:
-        """Tell whether the straight way to the box is free of the tanker: not ahead of, not above the limit window."""
+    def _in_corridor(self, p_mrf_br_m: Vec, *, seen: bool) -> bool:
+        """Tell whether the straight way to the box is free of the tanker: not ahead of, not above the limit window.
+
+        Within ``closure_range_m`` of the box the tanker has to be ``seen``, without a fault, or nothing begins there.
+        """
         x, _, z = p_mrf_br_m.tolist()
-        near = float(np.sqrt(p_mrf_br_m @ p_mrf_br_m)) <= self._config.join_range_m
+        range_m = float(np.sqrt(p_mrf_br_m @ p_mrf_br_m))
+        near = range_m <= self._config.join_range_m and (seen or range_m > self._config.guard.closure_range_m)
         return near and x <= self._limit_m[0] and z >= -self._limit_m[2]
 
     # ---- what begins with a phase -------------------------------------------------------------------------------
@@ -199,13 +229,15 @@ class Approach:
         self._phase_ns = t_ns
         if change.old is Phase.STANDBY:
             self._guard.reset()
+            self._by_itself = False
         match change.new:
             case Phase.SELF_TEST if state is not None:  # always, by its row: engaged on a fresh estimate
                 self._self_test.begin(t_ns, state.R_ned_frd)
             case Phase.JOIN if state is not None:
                 self._law.reset()
                 self._mean_speed = state.v_mrf_br_m_s
-                self._path, self._station = None, station(state.p_mrf_br_m)
+                self._path, self._station = self._backing_off(t_ns, state.p_mrf_br_m), station(state.p_mrf_br_m)
+                self._tests = 0
             case Phase.PRE_CONTACT:
                 self._to_pre_contact(change, now, called_back=situation.command is Command.PRE_CONTACT)
             case Phase.APPROACH if self._direct:
@@ -218,6 +250,17 @@ class Approach:
             case Phase.STANDBY | Phase.BREAKAWAY:
                 return self._let_go(change, situation)
         return []
+
+    def _backing_off(self, t_ns: int, p_m: Vec) -> Path | None:
+        """Return the way out for a join that begins near the box, as after a restart; None where it holds its place.
+
+        The direct procedure has no pre-contact point; it holds, and what it watches there keeps it safe.
+        """
+        range_m = float(np.sqrt(p_m @ p_m))
+        out_m = float(np.sqrt(self._pre_contact_m @ self._pre_contact_m))
+        if self._direct or range_m >= min(out_m, self._config.guard.closure_range_m):
+            return None
+        return back_off(t_ns, p_m, self._pre_contact_m, self._closing)
 
     def _to_pre_contact(self, change: PhaseChange, now: Reference, *, called_back: bool) -> None:
         t_ns, c = change.t_ns, self._config
@@ -236,11 +279,12 @@ class Approach:
         self._operator_only = False
         if change.new is Phase.BREAKAWAY:
             self._engaged = False
-            self._breakaway.begin(change.t_ns)
+            self._breakaway.begin(change.t_ns, change.reason)
         elif situation.taken_over:
             self._engaged = False
         elif change.old is Phase.SELF_TEST and situation.tested is not None:
-            self._engaged = False
+            self._tests += 1
+            self._engaged = self._config.auto_engage and self._tests < SELF_TESTS
             follows = self._self_test.result(change.t_ns)
             reason = "estimate_stale" if follows is None or situation.tested else follows.fault
             return [Reject(change.t_ns, "self_test", reason, str(follows))]

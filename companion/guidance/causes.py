@@ -5,7 +5,8 @@ Rules
 * Nothing is latched here: ``Watch.cause`` says whether there is a cause now. The phase latches.
 * Where noise alone could make a cause, it has to last; every limit leaves the breakaway within 0.5 s of what made it
   (``GuardConfig``), but for the autopilot's heartbeat, whose limit is the cause.
-* Which cause is looked for in which phase: ``WATCHED``.
+* Which cause is looked for in which phase: ``WATCHED``; within ``closure_range_m`` of the box every flying phase
+  watches what those near it do (``NEAR``): who begins there, after a clear or a restart, is as near as who came there.
 * An estimate that is not finite is none. A stamp from the future is as bad as one from the past.
 """
 
@@ -15,11 +16,13 @@ import math
 from dataclasses import dataclass
 
 from companion.config import GuardConfig, WindowConfig
+from companion.guidance.lasting import Lasting
 from companion.messages import NS, Integrity, Phase, RelativeState, Sources
 
 OPERATOR = "operator's command"
 AUTOPILOT_LOST = "autopilot lost"
 LEFT_WINDOW = "outside the limit window"
+AHEAD = "ahead of or above the limit window"
 CLOSURE = "closing too fast"
 SIGHT_LOST = "sight lost"
 DATALINK_STALE = "datalink stale"
@@ -31,31 +34,35 @@ OFF_PATH = "far off the path"
 UPSET = "banked or pitched too far"
 
 CAUSES = (
-    OPERATOR, AUTOPILOT_LOST, LEFT_WINDOW, CLOSURE, SIGHT_LOST, DATALINK_STALE, ATTITUDE_STALE, POSITION_STALE,
-    INTEGRITY_FAILED, ESTIMATE_LOST, OFF_PATH, UPSET,
+    OPERATOR, AUTOPILOT_LOST, LEFT_WINDOW, AHEAD, CLOSURE, SIGHT_LOST, DATALINK_STALE, ATTITUDE_STALE,
+    POSITION_STALE, INTEGRITY_FAILED, ESTIMATE_LOST, OFF_PATH, UPSET,
 )
 """Why to break away, in the order of precedence. Behind ``INTEGRITY_FAILED`` stands what fails, after a colon."""
 
 _FAR = frozenset({OPERATOR, CLOSURE, ESTIMATE_LOST, OFF_PATH, UPSET})
-_NEAR = frozenset(CAUSES) - {LEFT_WINDOW}
+NEAR = frozenset(CAUSES) - {LEFT_WINDOW}
+"""What is watched under the tanker; the window itself only when it has been reached."""
 
 WATCHED: dict[Phase, frozenset[str]] = {
     Phase.STANDBY: frozenset(),
     Phase.SELF_TEST: frozenset({OPERATOR}),
     Phase.JOIN: _FAR,
     Phase.OBSERVATION: _FAR,
-    Phase.PRE_CONTACT: _NEAR,
-    Phase.APPROACH: _NEAR,
+    Phase.PRE_CONTACT: NEAR,
+    Phase.APPROACH: NEAR,
     Phase.CONTACT: frozenset(CAUSES),
     Phase.HOLD: frozenset(CAUSES),
-    Phase.DISCONNECT: _NEAR,
+    Phase.DISCONNECT: NEAR,
     Phase.BREAKAWAY: frozenset(),
 }
-"""Causes by phase. Before pre-contact a lost source, or a silent autopilot, is no reason to dive away: the phases wait
-for it or let go."""
+"""Causes by phase. Before pre-contact, and far from the box, a lost source or a silent autopilot is no reason to dive
+away: the phases wait for it or let go."""
 
-BACKS_OFF = frozenset({Phase.PRE_CONTACT, Phase.DISCONNECT})
-"""Phases that lead away from the box: there a protection level that is too large is what they are for, and no cause."""
+FAR_PHASES = frozenset({Phase.SELF_TEST, Phase.JOIN, Phase.OBSERVATION})
+"""Phases that watch more within ``closure_range_m`` of the box."""
+
+BACKS_OFF = FAR_PHASES | {Phase.PRE_CONTACT, Phase.DISCONNECT}
+"""Phases that do not close in: there a protection level that is too large is what they wait for, and no cause."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,17 +129,21 @@ class Watch:
 
     def reset(self) -> None:
         """Forget since when anything has been wrong, and the last estimate."""
-        self._since_ns: dict[str, int] = {}
+        self._lasting = Lasting()
         self._estimate_ns: int | None = None
+        self._is_near = False  # by the last estimate that there was
 
     def cause(self, view: View, near: Near | None) -> str | None:
         """Return why to break away now, None when there is no reason to."""
         if near is not None and view.state is not None:
             self._estimate_ns = view.state.estimate_t_ns
+            self._is_near = near.range_m <= self._config.closure_range_m
         watched = WATCHED[view.phase]
         if not watched:
-            self._since_ns.clear()
+            self._lasting.forget()
             return None
+        if self._is_near:
+            watched = watched | NEAR
         found = self._of_sources(view, near) + self._of_flight(view, near)  # all: what lasts has to be kept up
         found = [cause for cause in found if cause in watched]
         if not found:
@@ -143,7 +154,7 @@ class Watch:
     def _of_sources(self, view: View, near: Near | None) -> list[str]:
         """Return what is missing or not to be trusted."""
         c, s, t_ns = self._config, view.sources, view.t_ns
-        far = view.phase is Phase.JOIN or view.phase is Phase.OBSERVATION
+        far = view.phase in FAR_PHASES and not self._is_near
         found = []
         for cause, newest_ns, limit_s in (
             (AUTOPILOT_LOST, view.heartbeat_ns, c.heartbeat_lost_s),
@@ -153,11 +164,12 @@ class Watch:
             (POSITION_STALE, s.position_ns, c.position_stale_s),
             (ESTIMATE_LOST, self._estimate_ns, c.estimate_lost_far_s if far else c.estimate_lost_s),
         ):
-            absent = self._lasts(cause, newest_ns is None, t_ns, limit_s)  # what is not there is as old as that lasts
+            # What is not there is as old as that lasts.
+            absent = self._lasting.lasts(cause, newest_ns is None, t_ns, limit_s)
             if absent or (newest_ns is not None and abs(t_ns - newest_ns) * NS > limit_s):
                 found.append(cause)
         distrusted = failing(view.integrity, self._in_close(view, near)) != ""
-        if self._lasts(INTEGRITY_FAILED, distrusted, t_ns, c.integrity_failed_s):
+        if self._lasting.lasts(INTEGRITY_FAILED, distrusted, t_ns, c.integrity_failed_s):
             found.append(INTEGRITY_FAILED)
         if view.asked:
             found.append(OPERATOR)
@@ -166,17 +178,18 @@ class Watch:
     def _of_flight(self, view: View, near: Near | None) -> list[str]:
         """Return what the receiver does that it must not do."""
         c = self._config
-        outside = fast = lost = upset = False
+        outside = ahead = fast = lost = upset = False
         if near is not None and view.state is not None:
             (x, y, z), (limit_x, limit_y, limit_z) = near.p_m, self._limit_m
             outside = abs(x) > limit_x or abs(y) > limit_y or abs(z) > limit_z
+            ahead = x > limit_x or z < -limit_z
             allowed_m_s = allowed_closure_m_s(c, near.range_m)
             fast = near.forward_m_s > allowed_m_s or near.closing_m_s > allowed_m_s + c.closure_gust_m_s
             upset = self._is_upset(view.state)
             limit_m = c.off_path_near_m if near.range_m <= c.closure_range_m else c.off_path_m
             lost = view.error_m is not None and not view.error_m <= limit_m  # also true for NaN
-        flight = ((LEFT_WINDOW, outside), (CLOSURE, fast), (OFF_PATH, lost), (UPSET, upset))
-        return [cause for cause, holds in flight if self._lasts(cause, holds, view.t_ns, c.lasting_s)]
+        flight = ((LEFT_WINDOW, outside), (AHEAD, ahead), (CLOSURE, fast), (OFF_PATH, lost), (UPSET, upset))
+        return [cause for cause, holds in flight if self._lasting.lasts(cause, holds, view.t_ns, c.lasting_s)]
 
     def _in_close(self, view: View, near: Near | None) -> bool:
         return view.phase not in BACKS_OFF and near is not None and near.range_m <= self._config.protection_range_m
@@ -188,16 +201,6 @@ class Watch:
         c = self._config
         inside = abs(bank_rad) <= c.max_bank_rad and abs(pitch_rad - self._pitch_trim_rad) <= c.max_pitch_off_trim_rad
         return not inside  # also true for NaN
-
-    def _lasts(self, cause: str, holds: bool, t_ns: int, for_s: float) -> bool:
-        """Tell whether something has held for so long."""
-        if not holds:
-            if cause in self._since_ns:
-                del self._since_ns[cause]
-            return False
-        since_ns = min(t_ns, self._since_ns.get(cause, t_ns))
-        self._since_ns[cause] = since_ns
-        return (t_ns - since_ns) * NS >= for_s
 
 
 def failing(integrity: Integrity | None, protects: bool = True) -> str:

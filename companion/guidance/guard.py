@@ -6,7 +6,9 @@ Rules
   ``estimate_stale_s`` old. In a breakaway none is needed: its setpoints are absolute (``breakaway``), and one that
   climbs or has more thrust than level flight is cut to that.
 * What is merely large is cut, which keeps a saturated law flying: to the envelope, to the closure that is allowed at
-  this range, to the rates of change against the last setpoint of its kind. What is beyond all sense is refused.
+  this range, to the rates of change against the last setpoint of its kind: an attitude's and its thrust's, a
+  velocity's, also of one that goes with a place to be at. The place itself may jump: what the autopilot makes of it is
+  bounded by that velocity and by how far in it may be. What is beyond all sense is refused.
 * A setpoint of attitude does not say what closure it asks for: the measured one decides. While the receiver comes
   forward too fast, no more thrust leaves than level flight takes.
 * In standby nothing leaves.
@@ -76,7 +78,11 @@ class Guard:
         self._seen: tuple[RelativeState | None, Near | None] = (None, None)
 
     def reset(self) -> None:
-        """Forget the last setpoint, and since when anything has been wrong: guidance starts afresh, or time stepped."""
+        """Forget the last setpoint, and since when anything has been wrong: a flight begins.
+
+        Not for a ``TimeStep``: setpoints and causes are timed by our own clock, and clocks that step again and again
+        would put every cause off.
+        """
         self._watch.reset()
         self._last = None
 
@@ -172,18 +178,23 @@ class Guard:
 
     def _velocity(self, setpoint: VelocitySetpoint, frame: Frame) -> VelocitySetpoint:
         """Return a velocity that changes and closes in no faster than it may; where both cannot be, closure counts."""
-        v, last = setpoint.v_ned_m_s, self._last
-        if isinstance(last, VelocitySetpoint):
-            dt_s = (setpoint.t_ns - last.t_ns) * NS
-            v = within(v, last.v_ned_m_s, self._envelope.max_acceleration_m_s2 * dt_s)
+        v = self._followed(setpoint)
         slowed = frame.slowed(v)
         return replace(setpoint, v_ned_m_s=slowed) if slowed is v else replace(
             setpoint, v_ned_m_s=slowed, a_ned_m_s2=(0.0, 0.0, 0.0)  # nor does it speed up again
         )
 
+    def _followed(self, setpoint: VelocitySetpoint | OffsetSetpoint) -> Triple:
+        """Return a velocity, not farther from the last one of its kind than ``max_acceleration_m_s2`` allows."""
+        last = self._last
+        if isinstance(last, AttitudeSetpoint) or type(last) is not type(setpoint):
+            return setpoint.v_ned_m_s
+        step = self._envelope.max_acceleration_m_s2 * (setpoint.t_ns - last.t_ns) * NS
+        return within(setpoint.v_ned_m_s, last.v_ned_m_s, step)
+
     def _offset(self, setpoint: OffsetSetpoint, frame: Frame) -> OffsetSetpoint:
         """Return a place to be at that neither comes too fast nor is farther in than a few seconds of closure."""
-        v = frame.slowed(setpoint.v_ned_m_s)
+        v = frame.slowed(self._followed(setpoint))
         return replace(
             setpoint, v_ned_m_s=v, offset_ned_m=frame.shortened(setpoint.offset_ned_m, self._config.offset_horizon_s)
         )

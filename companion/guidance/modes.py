@@ -7,7 +7,10 @@ Rules
 * From every flying phase: the guard's cause leads to breakaway, and a pilot who takes over to standby. An autopilot
   that has fallen silent leads to standby from the phases far from the tanker, and is a cause of the guard near it.
 * Breakaway is latched: only an operator leaves it, by CLEAR or by taking the autopilot out of guided, to standby.
-* After a breakaway, a failed self-test, or when a pilot took over, an operator has to engage again.
+* After a breakaway, a failed self-test (with ``auto_engage`` the third in a row), or when a pilot took over, in standby
+  too, an operator has to engage again; that takes an autopilot that is armed and guided.
+* Who begins near the box, after a clear or a restart, has to see the tanker without a fault, and in its join backs off
+  to the pre-contact point; the guard watches there all that it watches in the phases near the tanker.
 * Gates: an operator clears the receiver to pre-contact and to contact, in the phase before (``OBEYED``); the clearance
   lasts as long as that phase. ``auto_gates`` pass by themselves, but not after a disconnect.
 * No integrity monitor means that integrity is not asked. The direct procedure never asks.

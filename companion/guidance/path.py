@@ -180,6 +180,14 @@ def retreat(t0_ns: int, now: Reference, to_m: Vec, closing: Closure) -> LinePath
     return LinePath(t0_ns, to_m + along * (back_m - brake.way_m), along, spells)
 
 
+def back_off(t0_ns: int, start_m: Vec, to_m: Vec, closing: Closure) -> LinePath:
+    """Return the way from rest at ``start_m`` (3,) to rest at ``to_m`` (3,), slow as long as the box is near."""
+    way = start_m - to_m
+    way_m = float(np.sqrt(way @ way))
+    along = way / way_m if way_m > 0.0 else np.zeros(3)
+    return LinePath(t0_ns, start_m, along, tuple(closing.back_spells(way_m, float(np.sqrt(start_m @ start_m)))))
+
+
 def cubic(
     t0_ns: int, start_m: Vec, end_m: Vec, peak_m_s: float, peak_m_s2: float, least_s: float = 1.0
 ) -> CubicPath:

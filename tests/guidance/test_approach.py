@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from companion.config import FIRMWARE_CONFIGS, load_setup
 from companion.geometry import SE3, rotation_from_euler
-from companion.guidance.approach import DIRECT_M_S, HEARTBEAT_STALE_S, Approach
+from companion.guidance.approach import DIRECT_M_S, SELF_TESTS, TRY_AGAIN_S, Approach
 from companion.guidance.self_test import DURATION_S
 from companion.messages import (
     AttitudeSetpoint,
@@ -33,7 +33,8 @@ from companion.messages import (
 
 DT_NS = 20_000_000
 S = 1_000_000_000
-STATION_M = np.array([-6.0, -2.0, 3.0])
+STATION_M = np.array([-16.0, -4.0, 6.0])
+NEAR_M = np.array([-6.0, -2.0, 3.0])
 PRE_CONTACT_M = np.array([-15.0, 0.0, 5.0])
 ALERT_M = np.array([0.4, 1.87, 0.9])
 DOCKS = [Phase.SELF_TEST, Phase.JOIN, Phase.OBSERVATION, Phase.PRE_CONTACT, Phase.APPROACH, Phase.CONTACT, Phase.HOLD]
@@ -210,12 +211,12 @@ def test_the_way_to_hold_and_a_setpoint_in_every_step_of_it():
 
 def test_the_direct_procedure_flies_one_cubic_to_the_box_without_gates_or_integrity():
     loop = manual(procedure="direct", path_duration_s=20.0)
-    p, out = loop.ride(Phase.HOLD, integrity=lambda loop, p: trusted(loop.t_ns, docks=False, faults=("residual",)))
+    p, out = loop.ride(Phase.HOLD, NEAR_M, integrity=lambda loop, p: trusted(loop.t_ns, docks=False, faults=("ray",)))
     assert loop.news() == [Phase.SELF_TEST, Phase.JOIN, Phase.APPROACH, Phase.CONTACT, Phase.HOLD]
     began, ended = (next(c.t_ns for c in loop.changes if c.new is phase) for phase in (Phase.APPROACH, Phase.CONTACT))
     assert (ended - began) * 1e-9 == pytest.approx(20.0, abs=0.03)
     half = next(g for g in kinds(out, GuidanceOutput) if g.t_ns >= (began + ended) // 2)
-    assert np.allclose(half.reference_mrf_m, 0.5 * STATION_M, atol=0.02)
+    assert np.allclose(half.reference_mrf_m, 0.5 * NEAR_M, atol=0.02)
     assert np.allclose(p, 0.0, atol=1e-9)
 
 
@@ -411,18 +412,46 @@ def test_a_step_without_a_state_never_begins_anything():
 
 @pytest.mark.parametrize(("gain", "reason"), [(0.0, "too_little"), (-1.0, "reversed"), (0.45, "too_little")])
 def test_an_autopilot_that_does_not_follow_is_not_joined_with(gain, reason):
-    loop = Loop()
+    loop = Loop(auto_engage=False)
+    loop.hold_still(0.1)
+    loop.approach.command_event(Command.ENGAGE)
     loop.gain = gain
     loop.hold_still(DURATION_S + 0.1)
     assert loop.news() == [Phase.SELF_TEST, Phase.STANDBY]
     [reject] = loop.rejects
     assert (reject.source, reject.reason) == ("self_test", reason)
     assert reject.detail.startswith("gain ")
-    assert loop.hold_still(3.0) == []  # engaged no more, though it engages by itself at the start
+    assert loop.hold_still(2.0 * TRY_AGAIN_S) == []  # engaged no more
     loop.gain = 1.0
     loop.approach.command_event(Command.ENGAGE)
     loop.hold_still(DURATION_S + 0.1)
     assert loop.phase is Phase.JOIN
+
+
+def test_who_engages_by_itself_tries_the_self_test_again_but_not_for_ever():
+    loop = Loop()
+    loop.gain = 0.0
+    loop.hold_still(SELF_TESTS * (DURATION_S + TRY_AGAIN_S) + 20.0)
+    assert loop.news() == [Phase.SELF_TEST, Phase.STANDBY] * SELF_TESTS
+    begins = [c.t_ns * 1e-9 for c in loop.changes if c.new is Phase.SELF_TEST]
+    assert np.allclose(np.diff(begins), DURATION_S + TRY_AGAIN_S, atol=0.1)
+    loop = Loop()
+    loop.gain = 0.0
+    loop.hold_still(DURATION_S + 0.1)
+    loop.gain = 1.0
+    loop.hold_still(TRY_AGAIN_S + DURATION_S + 0.2)
+    assert loop.news() == [Phase.SELF_TEST, Phase.STANDBY, Phase.SELF_TEST, Phase.JOIN]
+
+
+@pytest.mark.parametrize("ends", [Command.CLEAR, Command.BREAKAWAY, AutopilotMode.MANUAL])
+def test_between_two_self_tests_operator_and_pilot_end_the_engagement(ends):
+    loop = Loop()
+    loop.gain = 0.0
+    loop.hold_still(DURATION_S + 0.1)
+    if isinstance(ends, Command):
+        loop.approach.command_event(ends)
+    loop.hold_still(0.1, mode=ends if isinstance(ends, AutopilotMode) else AutopilotMode.GUIDED)
+    assert loop.hold_still(10.0) == []
 
 
 @pytest.mark.parametrize("law", ["attitude", "velocity", "surfaces"])
@@ -528,7 +557,8 @@ def test_another_mode_ends_the_setpoints_at_once_and_a_silent_link_after_its_tim
         sent_ns += [s.t_ns for s in kinds(loop.step(state_at(loop.t_ns), None), AttitudeSetpoint)]
     assert loop.phase is Phase.STANDBY
     assert loop.changes[-1].reason == "autopilot left guided"
-    assert HEARTBEAT_STALE_S - 0.1 < (max(sent_ns) - begin_ns) * 1e-9 < HEARTBEAT_STALE_S
+    lost_s = shipped().config.guidance.guard.heartbeat_lost_s
+    assert lost_s - 0.1 < (max(sent_ns) - begin_ns) * 1e-9 < lost_s
     loop.hold_still(0.1)
     assert loop.phase is Phase.JOIN  # a link that was silent goes on
 

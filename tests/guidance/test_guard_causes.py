@@ -9,7 +9,8 @@ from guard_views import DT_NS, MS, S, config, integrity_at, new_guard, sources_a
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.guidance.causes import BACKS_OFF, CAUSES, WATCHED, failing
+from companion.guidance.causes import BACKS_OFF, CAUSES, FAR_PHASES, WATCHED, failing
+from companion.guidance.causes import NEAR as WATCHED_NEAR
 from companion.messages import Phase
 
 FLOWN = [p for p in Phase if p not in (Phase.STANDBY, Phase.BREAKAWAY)]
@@ -87,6 +88,10 @@ CASES = [
     pytest.param(moving((-2.2, 0.0, 0.0)), [Phase.CONTACT, Phase.HOLD], "outside the limit window", 0.2, id="x-window"),
     pytest.param(moving((0.0, 2.2, 0.0)), [Phase.CONTACT, Phase.HOLD], "outside the limit window", 0.2, id="y-window"),
     pytest.param(moving((0.0, 0.0, -2.6)), [Phase.CONTACT, Phase.HOLD], "outside the limit window", 0.2, id="z-window"),
+    pytest.param(moving((2.2, 0.0, 0.0)), [p for p in FLOWN if p not in (Phase.CONTACT, Phase.HOLD)],
+                 "ahead of or above the limit window", 0.2, id="ahead"),
+    pytest.param(moving((-3.0, 0.5, -2.6)), [p for p in FLOWN if p not in (Phase.CONTACT, Phase.HOLD)],
+                 "ahead of or above the limit window", 0.2, id="above"),
     pytest.param(moving((0.3, 0.0, 0.1), (1.1, 0.0, 0.0)), NEAR + FAR, "closing too fast", 0.2, id="forward"),
     pytest.param(moving((-1.0, 0.0, 2.0), (0.8, 0.0, -2.0)), NEAR + FAR, "closing too fast", 0.2, id="to-the-box"),
     pytest.param(moving((-40.0, 0.0, 10.0), (4.3, 0.0, -1.0)), FAR, "closing too fast", 0.2, id="from-afar"),
@@ -104,7 +109,6 @@ CASES = [
     pytest.param(no_estimate, NEAR, "estimate lost", 0.42, id="no-estimate"),
     pytest.param(dead_estimate, NEAR, "estimate lost", 0.42, id="dead-estimate"),
     pytest.param(broken_estimate, NEAR, "estimate lost", 0.42, id="broken-estimate"),
-    pytest.param(no_estimate, FAR, "estimate lost", 1.02, id="no-estimate-far"),
     pytest.param(off_path(5.1), NEAR + FAR, "far off the path", 0.2, id="off-path-near"),
     pytest.param(off_path(10.1, (-40.0, 0.0, 10.0)), FAR, "far off the path", 0.2, id="off-path-far"),
     pytest.param(off_path(math.nan), NEAR + FAR, "far off the path", 0.2, id="off-path-nan"),
@@ -127,9 +131,46 @@ def test_no_cause_is_told_in_phases_that_do_not_watch_it(wrong, phases, cause, a
     for phase in (Phase.STANDBY, Phase.BREAKAWAY):
         assert told(phase, wrong) is None
     for phase in FLOWN:
-        if cause.split(":")[0] not in WATCHED[phase]:
+        if cause.split(":")[0] not in WATCHED[phase] | WATCHED_NEAR:
             found = told(phase, wrong)
             assert found is None or found[1] != cause
+
+
+FROM_AFAR = {"p_m": (-30.0, -5.0, 12.0)}
+SOURCES = [case for case in CASES if case.id in (
+    "heartbeat", "sight", "no-sight", "datalink", "attitude", "position", "faults", "no-estimate")]
+
+
+@pytest.mark.parametrize(("wrong", "phases", "cause", "after_s"), SOURCES)
+def test_who_begins_near_the_box_watches_what_those_do_who_came_there_and_who_is_far_waits(
+        wrong, phases, cause, after_s):
+    """After a clear, or a restart in the box: by range and not by phase. Far out a lost source is no reason to dive."""
+    for phase in sorted(FAR_PHASES):
+        at_s, what = told(phase, wrong)
+        assert what == cause
+        assert at_s <= after_s + 1e-9
+
+        guard = new_guard()
+        for k in range(50):
+            t_ns = START_NS - S + k * DT_NS
+            assert guard.cause(view_at(t_ns, phase, state=state_at(t_ns, **FROM_AFAR))) is None
+        found = []
+        for k in range(200):
+            t_ns = START_NS + k * DT_NS
+            changed = wrong(t_ns, k * DT_NS)
+            state = None if changed.get("state", 0) is None else state_at(t_ns, **FROM_AFAR)
+            found.append(guard.cause(view_at(t_ns, phase, **{**changed, "state": state})))
+        lost = cause == "estimate lost" and phase is not Phase.SELF_TEST
+        assert {c for c in found if c is not None} == ({cause} if lost else set())
+        if lost:
+            assert found.index(cause) * 0.02 == pytest.approx(1.0, abs=0.041)
+
+
+def test_a_silent_autopilot_near_the_box_is_a_cause_in_the_step_in_which_it_would_be_standby():
+    """The phases let go of a silent autopilot far out, by the same age; near the box the cause goes first."""
+    guard, limit_ns = new_guard(), round(config().heartbeat_lost_s * S)
+    for age_ns, cause in ((limit_ns, None), (limit_ns + DT_NS, "autopilot lost")):
+        assert guard.cause(view_at(START_NS + age_ns, Phase.JOIN, heartbeat_ns=START_NS)) == cause
 
 
 @pytest.mark.parametrize(("wrong", "phases", "cause", "after_s"), CASES)
@@ -245,7 +286,8 @@ def test_whatever_is_seen_the_answer_is_a_cause_or_none(steps):
         state = replace(state_at(t_ns, p_m, v_m_s), R_ned_frd=np.full((3, 3), p_m[0])) if has else None
         cause = guard.cause(view_at(t_ns, phase, state=state, error_m=error_m, integrity=integrity_at(
             t_ns, protection_m=levels)))
-        assert cause is None or cause.split(":")[0] in WATCHED[phase]
+        assert cause is None or cause.split(":")[0] in WATCHED[phase] | WATCHED_NEAR
+        assert cause is None or phase not in (Phase.STANDBY, Phase.BREAKAWAY)
 
 
 def test_every_phase_has_its_row_and_every_limit_keeps_half_a_second():
