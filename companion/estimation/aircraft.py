@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.config import FusionConfig
 from companion.estimation.alignment import Attitude, AttitudeHistory, Motion, MotionHistory
-from companion.estimation.plausibility import AttitudeWatch, MotionWatch, Repetition, Verdict
+from companion.estimation.plausibility import RECEIVER, TANKER, AttitudeWatch, MotionWatch, Repetition, Verdict
 from companion.geometry import SE3, Vec
 from companion.messages import NS, GpsStatus, OwnAttitude, OwnPosition, Reject, TankerState, TimeStep
 
@@ -63,7 +63,7 @@ class Aircraft:
         self._watches()
 
     def _watches(self) -> None:
-        self._attitude_watch, self._tanker_attitude_watch = AttitudeWatch(), AttitudeWatch()
+        self._attitude_watch, self._tanker_attitude_watch = AttitudeWatch(RECEIVER), AttitudeWatch(TANKER)
         self._motion_watch, self._tanker_watch = MotionWatch(), MotionWatch()
         self._attitude_content, self._position_content, self._tanker_content = Repetition(), Repetition(), Repetition()
 

@@ -19,8 +19,11 @@ Rules
 * The alert limit is the desired window of thesis Tab. 1.1, wider by ``alert_growth`` metres for each metre from the
   box, as landing systems grow theirs along the approach. Once |BR| + PL has been within the limit window it must
   stay so.
-* ``may_dock``: seen at most ``stale_s`` ago, no fault, protection within the alert limit. Nothing seen is no fault:
-  protection is then ``UNKNOWN_M``, ``unseen`` among the notes. Notes never take ``may_dock`` away.
+* What can be wrong this very moment is among the hypotheses (``integrity_moment``): the difference to the last frames,
+  and what nothing has judged since the newest.
+* ``may_dock``: seen at most ``stale_s`` ago, every source fresh, the newest frame taken and some before it, no fault,
+  protection within the alert limit. Nothing seen is no fault: protection is then ``UNKNOWN_M``, ``unseen`` among the
+  notes. Notes never take ``may_dock`` away but ``unseen``, ``stale <source>`` and ``unsettled``.
 
 ==================== ==================================================================================================
 fault                meaning
@@ -47,6 +50,7 @@ from companion.config import CornerPointConfig, IntegrityConfig, VisionConfig, W
 from companion.config.structures import MarkerConfig
 from companion.estimation.integrity_alarm import Alarm, RunningMean
 from companion.estimation.integrity_markers import Eye, MarkerTest, Separations
+from companion.estimation.integrity_moment import Moment, moved_m, unjudged_m
 from companion.estimation.integrity_sources import AttitudeTest, GpsTest, InnovationTest
 from companion.geometry import Mat, Vec, rotation_from_euler
 from companion.messages import (
@@ -93,11 +97,12 @@ class IntegrityMonitor:
         self._gps = GpsTest(config, sigmas)
         self._attitude = AttitudeTest(config, sigmas)
         self._innovation = InnovationTest(config)
+        self._moment = Moment(config.stale_s)
         self.restart()
 
     def restart(self) -> None:
         """Forget everything: time has stepped."""
-        for test in (self._markers, self._gps, self._attitude, self._innovation):
+        for test in (self._markers, self._gps, self._attitude, self._innovation, self._moment):
             test.restart()
         self._seen: VisionOutput | None = None
         self._filtered = self._entered = False
@@ -115,6 +120,7 @@ class IntegrityMonitor:
             self._fused(output)
         elif isinstance(output, FilterUpdate):
             self._innovation.see(output)
+            self._moment.update(output)
         elif isinstance(output, FilterState):
             self._filtered = True
             self._sigma_attitude_rad = float(np.sqrt(output.sigma[6:9].max() ** 2 + output.sigma[12:15].max() ** 2))
@@ -135,6 +141,7 @@ class IntegrityMonitor:
         many = int(np.count_nonzero(seen.labels >= 0)) >= self._vision.min_markers
         self._markers.see(seen, T, self._known_before(seen.t_ns))
         self._hypotheses = None
+        self._moment.frame(pose if many else None, fused)
         if pose is not None and many:
             self._many_ns = seen.t_ns
             self._gps.see(pose, fused)
@@ -156,15 +163,16 @@ class IntegrityMonitor:
         more, more_notes = self._innovation.failing
         faults += self._markers.faults + self._attitude.faults + more
         faults += ("residual",) if self._residual.raised else ()
-        sight_ns = sources.sight_ns
-        unseen = sight_ns is None or (state.t_ns - sight_ns) * NS > self._config.stale_s
         R_mrf_ned = rotation_from_euler(state.heading0_rad, 0.0, 0.0).T
-        protection_m = np.full(3, UNKNOWN_M) if unseen else self._protection(state, R_mrf_ned, R_mrf_ned @ R_ned_cam)
+        doubts = self._moment.notes(state.t_ns, sources)
+        protection_m = np.full(3, UNKNOWN_M)
+        if "unseen" not in doubts:
+            protection_m = self._protection(state, sources, R_mrf_ned, R_mrf_ned @ R_ned_cam)
         br_m = np.abs(state.p_mrf_br_m)
         alert_m = self._desired_m + self._config.alert_growth * math.sqrt(br_m @ br_m)
         within = bool((protection_m <= alert_m).all()) and self._stays(br_m, protection_m)
-        notes += more_notes + (("unseen",) if unseen else ())
-        return Integrity(state.t_ns, protection_m, alert_m, within and not unseen and not faults, faults, notes)
+        may_dock = within and not (doubts or faults)
+        return Integrity(state.t_ns, protection_m, alert_m, may_dock, faults, notes + more_notes + doubts)
 
     def _stays(self, br_m: Vec, protection_m: Vec) -> bool:
         """Tell whether a receiver that has been surely within the limit window still is."""
@@ -175,7 +183,7 @@ class IntegrityMonitor:
             self._entered = False
         return inside or not self._entered
 
-    def _protection(self, state: RelativeState, R_mrf_ned: Mat, R_mrf_cam: Mat) -> Vec:
+    def _protection(self, state: RelativeState, sources: Sources, R_mrf_ned: Mat, R_mrf_cam: Mat) -> Vec:
         """Return the protection levels (3,): without a fault, and the largest of all hypotheses."""
         if self._hypotheses is None:
             self._hypotheses = self._gather(state)
@@ -188,7 +196,10 @@ class IntegrityMonitor:
         d = np.abs(h.off_m @ R_mrf_cam.T) + self._k_fault * np.sqrt(variance + of_hypotheses)
         gps = np.abs(R_mrf_ned @ self._gps.off_ned_m) * (1.0 - state.vision_weight)
         free = self._k_free * np.sqrt(variance)
-        protection: Vec = np.minimum(np.maximum(free, d.max(axis=0)) + gps, UNKNOWN_M)
+        now_m = np.maximum(self._moment.off_m(state.T_cam_tanker.t, R_mrf_cam), unjudged_m(state, sources, R_mrf_cam))
+        now_m += self._k_fault * np.sqrt(variance)
+        largest_m = np.maximum(np.maximum(free, now_m), d.max(axis=0)) + gps + moved_m(state.t_ns, sources)
+        protection: Vec = np.minimum(largest_m, UNKNOWN_M)
         return protection
 
     def _gather(self, state: RelativeState) -> Separations | None:
