@@ -161,6 +161,39 @@ def test_no_aircraft_changes_its_velocity_at_once(jump_m_s, seed):
     assert f.position(S + 20 * MS) == ""
 
 
+@pytest.mark.parametrize("jump_m_s", [2.0, 3.0, 5.0, -12.0])
+def test_a_tanker_that_tells_another_speed_is_never_believed_by_waiting(jump_m_s):
+    """The bound grows with a silence, not while what contradicts goes on: 5 m/s were believed with the third report."""
+    f = Flown()
+    f.until(f.tanker, S, every_ms=40)
+    for t_ns in range(S, S + BELIEVED_NS, 40 * MS):
+        assert f.tanker(t_ns, lambda p, v, *rest: (p, v + np.array([jump_m_s, 0.0, 0.0]), *rest)) == "velocity_jump"
+    assert f.aircraft.tanker_ns == S - 40 * MS
+
+
+@pytest.mark.parametrize("angle_rad", [0.01, 0.03, 0.052])
+@pytest.mark.parametrize("kind", ["attitude", "tanker"])
+def test_half_a_degree_at_once_is_no_attitude_that_follows(kind, angle_rad):
+    """On the box's lever of 27 m it is a quarter of a metre, before any picture can say so."""
+    f = Flown()
+    tell, at, every = getattr(f, kind), 0 if kind == "attitude" else 2, 20 if kind == "attitude" else 40
+    f.until(tell, S, every_ms=every)
+
+    def turned(*content):
+        return tuple(c @ exp_so3(np.array([0.0, angle_rad, 0.0])) if k == at else c for k, c in enumerate(content))
+
+    f.told.clear()
+    f.until(tell, S + BELIEVED_NS, start_ns=S, every_ms=every, change=turned)
+    assert set(f.told) == {"attitude_jump"}
+
+
+def test_body_rates_that_no_tanker_has_are_refused():
+    f = Flown()
+    f.until(f.tanker, S, every_ms=40)
+    assert f.tanker(S, lambda p, v, R, w: (p, v, R, w + np.array([0.0, 0.15, 0.0]))) == "rate_jump"
+    assert f.tanker(S + 40 * MS) == ""
+
+
 def test_three_g_are_believed():
     f = Flown()
     f.until(f.position, S)
