@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.geometry import GRAVITY_M_S2, Mat, Vec, euler_from_rotation
+from companion.geometry import GRAVITY_M_S2, Mat, Vec, euler_from_rotation, skew
 from companion.messages import NS
 
 BOX_RAD_S = 5.0
@@ -65,7 +65,7 @@ class BoxObserver:
 
     def update(self, t_ns: int, v_ned_m_s: Vec, R_ned_tanker: Mat, omega_tanker_rad_s: Vec) -> None:
         """Take a report that is newer than the last."""
-        lever = R_ned_tanker @ np.cross(omega_tanker_rad_s, self._box_tanker_m)
+        lever = R_ned_tanker @ (skew(omega_tanker_rad_s) @ self._box_tanker_m)
         yaw, _, roll = euler_from_rotation(R_ned_tanker)
         bank = GRAVITY_M_S2 * math.tan(min(max(roll, -1.2), 1.2)) * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
         before, self._bank = self._bank, bank
