@@ -42,8 +42,8 @@ from sim_bridge.simulation import BoxTruth, Simulation, nominal_heading_rad
 WATCH_S = 6.0
 BREAKAWAY_WATCH_S = 4.0
 REACTION_S = 0.5
-NEAR_M, FARTHER_M = (-32.0, -0.5, 10.5), (-42.0, -3.0, 18.0)
-"""Where flights begin, in tanker axes: 3.4 m and 16 m from the box."""
+NEAR_M, FARTHER_M = (-33.0, -0.5, 10.7), (-42.0, -3.0, 18.0)
+"""Where flights begin, in tanker axes: 4.4 m and 16 m from the box."""
 HELD, BREAKAWAY, STANDBY = "held", "breakaway", "standby"
 EITHER = "held or breakaway"
 OBSERVATION = "observation"
@@ -186,7 +186,7 @@ def matrix_flight(cell: Cell, seed: int, **scenario_fields: Any) -> tuple[Scenar
     )
     setup = scenario.setup()
     guidance = msgspec.structs.replace(
-        setup.config.guidance, auto_engage=True, auto_gates=True, self_test=False, pre_contact_m=(-2.5, 0.0, 1.0),
+        setup.config.guidance, auto_engage=True, auto_gates=True, self_test=False, pre_contact_m=(-3.6, 0.0, 1.2),
         join_settle_s=1.0, observation_s=0.5, stabilise_s=0.5, may_dock_s=0.5, capture_s=0.5, contact_near_m=0.5,
     )
     config = msgspec.structs.replace(setup.config, guidance=guidance)

@@ -19,7 +19,7 @@ from sim_bridge import faults as faults_module
 from sim_bridge.__main__ import main
 from sim_bridge.fault_crafts import DatalinkCraft, FrameCraft, GpsCraft, MavlinkCraft
 from sim_bridge.fault_injection import OUT_OF_SIGHT_M, Faults
-from sim_bridge.fault_matrix import BREAKAWAY, EITHER, HELD, MATRIX, MORE, STANDBY
+from sim_bridge.fault_matrix import BREAKAWAY, EITHER, HELD, MATRIX, MORE, OBSERVATION, STANDBY
 from sim_bridge.fault_streams import Tamper, Window
 from sim_bridge.faults import COMMON, KINDS, Fault, parse_fault
 from sim_bridge.scenario import load_scenario
@@ -114,7 +114,7 @@ def test_the_matrix_is_whole_and_its_names_are_its_own():
     assert len(set(names)) == len(names)
     wanted = {f"{t}-{k}" for t in ("camera", "datalink", "gps", "attitude", "heartbeat") for k in COMMON}
     assert {cell.name for cell in MATRIX} == wanted
-    assert {cell.ends for cell in (*MATRIX, *MORE)} <= {HELD, BREAKAWAY, STANDBY, EITHER}
+    assert {cell.ends for cell in (*MATRIX, *MORE)} <= {HELD, BREAKAWAY, STANDBY, EITHER, OBSERVATION}
     assert all(cell.why for cell in (*MATRIX, *MORE))
     flown = [parse_fault(text) for cell in (*MATRIX, *MORE) for text in cell.faults]
     assert {(fault.target, fault.kind) for fault in flown} == set(ALL)

@@ -23,7 +23,7 @@ from companion.app import warm_up
 from companion.io.recorder import read_records
 from companion.messages import NS, AttitudeSetpoint, Phase, PhaseChange
 from companion.vision.labeler import Labelled
-from sim_bridge.fault_matrix import BREAKAWAY, HELD, UNSEEN, Cell, fly_cell, matrix_flight
+from sim_bridge.fault_matrix import BREAKAWAY, FARTHER_M, HELD, UNSEEN, Cell, fly_cell, matrix_flight
 from sim_bridge.flight import Ending, LockstepCompanion, Unrecorded, run
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import Safety
@@ -100,7 +100,8 @@ def test_a_marker_that_is_wrong_in_the_companions_map():
     assert flight.ended == HELD, flight.phases
 
 
-FROM_THE_START = Cell("from-the-start", ("heartbeat.stuck@0",), "", "a fault that changes nothing", watch_s=20.0)
+FROM_THE_START = Cell("from-the-start", ("heartbeat.stuck@0",), "", "a fault that changes nothing", watch_s=15.0,
+                      start_tanker_m=FARTHER_M)
 
 
 def test_the_companion_is_killed_in_the_hold_and_starts_again_after_two_seconds():
