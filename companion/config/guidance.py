@@ -133,42 +133,72 @@ class GuidanceConfig(Struct, frozen=True, kw_only=True):
     guard: GuardConfig = GuardConfig()
 
 
-def guard_rules(g: GuardConfig) -> Rules:
-    """Return what has to hold of the guard."""
-    ages = ("heartbeat_lost_s", "sight_lost_s", "datalink_stale_s", "attitude_stale_s", "position_stale_s",
-            "estimate_lost_s", "estimate_lost_far_s")
-    more = ("roll_rate_rad_s", "pitch_rate_rad_s", "thrust_rate_per_s", "closure_m_s", "closure_range_m",
-            "braking_m_s2", "closure_gust_m_s", "offset_horizon_s", "protection_range_m")
+REACTION_S = 0.5
+"""A breakaway begins within so long of its cause; the heartbeat's limit is the cause."""
+
+
+def guard_rules(g: GuardConfig, rate_hz: float) -> Rules:
+    """Return what has to hold of the guard at a guidance rate, which is not 0."""
+    ages = ("sight_lost_s", "datalink_stale_s", "attitude_stale_s", "position_stale_s", "estimate_lost_s")
+    most = {"heartbeat_lost_s": 10.0, "estimate_lost_far_s": 10.0, "roll_rate_rad_s": 20.0, "pitch_rate_rad_s": 20.0,
+            "thrust_rate_per_s": 50.0, "closure_m_s": 5.0, "closure_range_m": 100.0, "braking_m_s2": 5.0,
+            "closure_gust_m_s": 5.0, "offset_horizon_s": 30.0, "protection_range_m": 100.0}
+    longest_s = REACTION_S - 1.0 / rate_hz
     return [
-        *((0 < getattr(g, name) <= 10, f"guidance.guard.{name} must be in 0..10 seconds") for name in ages),
-        *((0 < getattr(g, name) < math.inf, f"guidance.guard.{name} must be positive") for name in more),
-        (min(g.integrity_failed_s, g.lasting_s) >= 0 and max(g.integrity_failed_s, g.lasting_s) <= 2,
-         "guidance.guard: integrity_failed_s and lasting_s must be in 0..2 seconds"),
-        (0 < g.off_path_near_m <= g.off_path_m,
-         "guidance.guard.off_path_near_m must be positive metres, at most off_path_m"),
+        *((0 < getattr(g, name) <= longest_s,
+           f"guidance.guard.{name} must be in 0..{longest_s:.3g} seconds: with a guidance step at most {REACTION_S} s")
+          for name in ages),
+        *((0 < getattr(g, name) <= largest, f"guidance.guard.{name} must be in 0..{largest:g}")
+          for name, largest in most.items()),
+        (min(g.integrity_failed_s, g.lasting_s) >= 0 and max(g.integrity_failed_s, g.lasting_s) <= longest_s,
+         f"guidance.guard: integrity_failed_s and lasting_s must be in 0..{longest_s:.3g} seconds: with a guidance "
+         f"step at most {REACTION_S} s"),
+        (0 < g.off_path_near_m <= g.off_path_m <= 100,
+         "guidance.guard.off_path_near_m must be positive metres, at most off_path_m, and that at most 100"),
         (0 < g.max_bank_rad < math.pi / 2 and 0 < g.max_pitch_off_trim_rad < math.pi / 2,
          "guidance.guard: max_bank_rad and max_pitch_off_trim_rad must be in 0..pi / 2 (radians, not degrees)"),
     ]
+
+
+def breakaway_rules(g: GuidanceConfig) -> Rules:
+    """Return what has to hold of the breakaway; ``thrust_rule`` knows the airframe too."""
+    return [
+        (0 < g.breakaway_level_s <= 60, "guidance.breakaway_level_s must be in 0..60 seconds"),
+        (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
+        (0 < g.breakaway_descent_rad <= min(0.2, g.max_pitch_offset_rad),
+         "guidance.breakaway_descent_rad must be in 0..0.2 radians, and at most max_pitch_offset_rad"),
+        (g.guard.closure_range_m <= g.breakaway_separation_m <= 1000,
+         "guidance.breakaway_separation_m must be at least guard.closure_range_m, at most 1000 metres"),
+    ]
+
+
+def thrust_rule(g: GuidanceConfig, trim_throttle: float) -> tuple[bool, str]:
+    """Return that a breakaway slows the receiver down: its thrust is clearly below that of level flight."""
+    return (g.breakaway_thrust <= 0.8 * trim_throttle,
+            f"guidance.breakaway_thrust must be at most 0.8 of the airframe's trim.throttle, {0.8 * trim_throttle:.3g}")
 
 
 def guidance_rules(g: GuidanceConfig) -> Rules:
     """Return what has to hold of the guidance."""
     return [
         (10 <= g.rate_hz <= 200, "guidance.rate_hz must be in 10..200 hertz"),
-        (g.path_duration_s > 0, "guidance.path_duration_s must be positive seconds"),
-        (g.max_closure_m_s > 0, "guidance.max_closure_m_s must be positive metres per second"),
+        (0 < g.path_duration_s <= 3600, "guidance.path_duration_s must be in 0..3600 seconds"),
+        (0 < g.max_closure_m_s <= 20, "guidance.max_closure_m_s must be in 0..20 metres per second"),
         (math.hypot(*g.pre_contact_m) > g.contact_near_m and g.pre_contact_m[0] < 0 <= g.pre_contact_m[2],
          "guidance.pre_contact_m must be aft of the box and not above it, more than contact_near_m away (metres)"),
         (all(s >= 0 for s in (g.join_settle_s, g.observation_s, g.stabilise_s, g.may_dock_s, g.retreat_s, g.capture_s)),
          "guidance: join_settle_s, observation_s, stabilise_s, may_dock_s, retreat_s and capture_s must not be "
          "negative seconds"),
         (g.contact_timeout_s > g.capture_s, "guidance.contact_timeout_s must be more than capture_s, both in seconds"),
-        (all(x > 0 for x in (g.stabilise_tolerance_m, g.contact_near_m, g.closure_m_s2, g.transit_m_s2)),
-         "guidance: stabilise_tolerance_m, contact_near_m, closure_m_s2 and transit_m_s2 must be positive"),
+        (all(0 < x <= 10 for x in (g.stabilise_tolerance_m, g.join_tolerance_m, g.contact_near_m, g.closure_m_s2,
+                                   g.transit_m_s2)),
+         "guidance: stabilise_tolerance_m, join_tolerance_m, contact_near_m, closure_m_s2 and transit_m_s2 must be in "
+         "0..10"),
         (0 < g.contact_closure_m_s <= g.approach_closure_m_s <= g.max_closure_m_s,
          "guidance: contact_closure_m_s, approach_closure_m_s and max_closure_m_s must be positive, in rising order"),
-        (min(g.join_range_m, g.breakaway_separation_m) > 0,
-         "guidance: join_range_m and breakaway_separation_m must be positive metres"),
+        (g.approach_closure_m_s < g.guard.closure_m_s,
+         "guidance.approach_closure_m_s must be below guard.closure_m_s, from which the receiver breaks away"),
+        (0 < g.join_range_m <= 5000, "guidance.join_range_m must be in 0..5000 metres"),
         (min(msgspec.structs.astuple(g.weights)) >= 0, "guidance.weights must not be negative"),
         (min(g.weights.roll, g.weights.pitch, g.weights.thrust) > 0,
          "guidance.weights: roll, pitch and thrust must be positive"),
@@ -176,9 +206,8 @@ def guidance_rules(g: GuidanceConfig) -> Rules:
         (0 < g.max_roll_rad < math.pi / 2, "guidance.max_roll_rad must be in 0..pi / 2 (radians, not degrees)"),
         (0 < g.max_pitch_offset_rad < math.pi / 4,
          "guidance.max_pitch_offset_rad must be in 0..pi / 4 (radians, not degrees)"),
-        *guard_rules(g.guard),
-        (g.breakaway_level_s > 0, "guidance.breakaway_level_s must be positive seconds"),
-        (0 <= g.breakaway_thrust <= 1, "guidance.breakaway_thrust must be in 0..1"),
+        *guard_rules(g.guard, max(g.rate_hz, 10.0)),
+        *breakaway_rules(g),
         (0 <= g.link_delay_s <= 1, "guidance.link_delay_s must be in 0..1 seconds"),
         (all(0 < w <= 20 for w in g.disturbance_rad_s),
          "guidance.disturbance_rad_s must be in 0..20 radians per second"),

@@ -16,6 +16,7 @@ import msgspec
 
 from companion.config.calibration import CALIBRATION_KEYS, SUFFIXES, with_calibration
 from companion.config.errors import ConfigError, read_text
+from companion.config.guidance import thrust_rule
 from companion.config.rules import (
     airframe_rules,
     camera_rules,
@@ -137,7 +138,8 @@ def assemble(config: CompanionConfig, path: Path) -> Setup:
         airframe=load(folder / config.airframe, AirframeConfig),
     )
     for file, rules in (
-        (path, [*companion_rules(config), enough_detections(config, setup.tanker)]),
+        (path, [*companion_rules(config), enough_detections(config, setup.tanker),
+                thrust_rule(config.guidance, setup.airframe.trim.throttle)]),
         (folder / config.camera, camera_rules(setup.camera)),
         (folder / config.tanker, [*tanker_rules(setup.tanker), enough_markers(config, setup.tanker)]),
         (folder / config.airframe, airframe_rules(setup.airframe)),
