@@ -4,6 +4,7 @@ Rules
 -----
 * A stage is judged by what has come of it, never by what it says of itself alone: samples by their stamps
   (``Sources``), pictures and poses by what vision made of them, guidance by the setpoints that left.
+* In the first ``GRACE_S`` nothing is told before all is well: everything has to begin, and who listens knows nothing.
 * A stage that fails is told after ``ILL_AFTER_S``, one that is well again after ``WELL_AFTER_S``, so nothing flickers;
   what fails for good is told within half a second. ``detail`` is what it was when it was told.
 * Which stages are used in which phase: ``USED``. What is not there and not used harms nobody.
@@ -16,6 +17,7 @@ from typing import Any
 
 from companion.config import Setup
 from companion.guidance.causes import failing
+from companion.guidance.lasting import Lasting
 from companion.messages import (
     NS,
     AttitudeSetpoint,
@@ -59,6 +61,8 @@ USED: dict[Phase, frozenset[str]] = {
 }
 """Stages by phase: the tanker is not there yet in standby, and a breakaway needs nothing of it."""
 
+GRACE_S = 2.0
+"""From the first step on; what an autopilot, a datalink and a camera that are there take to be heard."""
 ILL_AFTER_S, WELL_AFTER_S = 0.2, 0.5
 STALE_S = 0.3
 """From this age on samples have stopped; at 25 Hz and more that is eight of them."""
@@ -92,6 +96,7 @@ class HealthMonitor:
         self._heartbeat_s = guard.heartbeat_lost_s
         self._estimate_s = setup.config.guidance.estimate_stale_s
         self._told: Health | None = None
+        self._first_ns: int | None = None
         self._verdicts = {name: _Steady() for name in STAGES}
         self._takers: dict[type, Callable[[Any], None]] = {
             AutopilotStatus: self._status, GpsStatus: self._gps, TimeStep: self._time_step, Reject: self._reject,
@@ -162,6 +167,7 @@ class HealthMonitor:
     def step(self, t_ns: int, phase: Phase, sources: Sources) -> Health | None:
         """Return the health of all stages when it has changed since it was last told, None when it has not."""
         self._now_ns = t_ns
+        self._first_ns = t_ns if self._first_ns is None else self._first_ns
         if sources.tanker_ns is not None:
             self._present.add(DATALINK)
         used = USED[phase]
@@ -170,10 +176,13 @@ class HealthMonitor:
             steady = self._verdicts[name]
             wrong = steady.step(t_ns, self._wrong(name, t_ns, phase, sources), used=name in used)
             stages.append(StageHealth(name, name in self._present, name in used, wrong is None, wrong or ""))
-        if self._told is not None and self._told.stages == tuple(stages):
+        health = Health(t_ns, tuple(stages))
+        if self._told is None and not health.well and abs(t_ns - self._first_ns) * NS < GRACE_S:
             return None
-        self._told = Health(t_ns, tuple(stages))
-        return self._told
+        if self._told is not None and self._told.stages == health.stages:
+            return None
+        self._told = health
+        return health
 
     def _wrong(self, name: str, t_ns: int, phase: Phase, sources: Sources) -> Verdict:
         """Return what is wrong with a stage now, None when nothing is."""
@@ -211,7 +220,7 @@ class _Steady:
     def __init__(self) -> None:
         self._wrong: Verdict = None
         self._used: bool | None = None
-        self._since_ns: int | None = None
+        self._lasting = Lasting()
 
     def step(self, t_ns: int, wrong: Verdict, *, used: bool) -> Verdict:
         """Take what is wrong now; return what is to be told.
@@ -224,11 +233,8 @@ class _Steady:
         elif used and not self._used:
             self._wrong = None
         self._used = used
-        if (wrong is None) == (self._wrong is None):
-            self._since_ns = None
-            return self._wrong
-        if self._since_ns is None or t_ns < self._since_ns:
-            self._since_ns = t_ns
-        if (t_ns - self._since_ns) * NS >= (WELL_AFTER_S if wrong is None else ILL_AFTER_S):
-            self._wrong, self._since_ns = wrong, None
+        differs = (wrong is None) != (self._wrong is None)
+        if self._lasting.lasts("differs", differs, t_ns, WELL_AFTER_S if wrong is None else ILL_AFTER_S):
+            self._wrong = wrong
+            self._lasting.forget()
         return self._wrong

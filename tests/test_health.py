@@ -9,7 +9,7 @@ import pytest
 
 from companion.config import FIRMWARE_CONFIGS, load_setup
 from companion.geometry import SE3
-from companion.health import ILL_AFTER_S, STAGES, USED, WELL_AFTER_S, HealthMonitor
+from companion.health import GRACE_S, ILL_AFTER_S, STAGES, USED, WELL_AFTER_S, HealthMonitor
 from companion.messages import (
     AttitudeSetpoint,
     AutopilotMode,
@@ -100,14 +100,25 @@ def in_flight(phase=Phase.HOLD):
     return flight
 
 
-def test_at_first_nothing_is_well_and_all_is_told_once_it_is():
+def test_at_first_nothing_is_said_until_all_is_well():
+    """No complaint of what has not begun yet: who listens sends no heartbeat before the first word."""
     flight = Flight()
-    assert flight.monitor.step(-DT_NS, Phase.HOLD, Sources()).well is False
-    assert flight.monitor.step(0, Phase.HOLD, Sources()) is None
+    assert flight.monitor.step(-DT_NS, Phase.HOLD, Sources()) is None
     changes = flight.fly(2.0)
-    assert flight.told[-1].well
-    assert changes[-1][0] <= WELL_AFTER_S + 0.1
+    assert all(told.well for told in flight.told)
+    assert changes[0][0] <= WELL_AFTER_S + 0.1
     assert {s.name for s in flight.told[-1].stages} == set(STAGES)
+
+
+def test_what_has_not_begun_after_its_grace_is_told_as_failing():
+    flight = Flight()
+    [(at_s, told)] = flight.fly(2.5, "camera", "vision")
+    assert at_s == pytest.approx(GRACE_S, abs=0.021)
+    assert told["camera"] == "nothing yet"
+    assert told["datalink"] is None
+    assert not flight.told[-1].well
+    lost = in_flight().fly(1.0, "attitude")  # who has been well has had its grace
+    assert lost[0][0] < 0.5
 
 
 @pytest.mark.parametrize(
@@ -222,7 +233,8 @@ def test_what_is_not_configured_is_not_there_until_it_comes():
     links = msgspec.structs.replace(config.links, camera="", datalink="")
     setup = msgspec.structs.replace(shipped(), config=msgspec.structs.replace(config, links=links))
     monitor = HealthMonitor(setup)
-    health = monitor.step(0, Phase.HOLD, Sources())
+    monitor.step(0, Phase.HOLD, Sources())
+    health = monitor.step(round(GRACE_S * S), Phase.HOLD, Sources())
     absent = {s.name: s.detail for s in health.stages if not s.present}
     assert absent == dict.fromkeys(("camera", "vision", "datalink", "integrity"), "not there")
     flight = Flight(setup=setup)
