@@ -1,11 +1,12 @@
-"""Breakaways from the hold, flown: asked for, and on a dead estimate; aft and down, never forward or up."""
+"""Breakaways, flown: asked for, and on a dead estimate; aft and down, never forward or up, and for good."""
 
 import numpy as np
 import pytest
-from lockstep import TO_HOLD, S, during, fly_with, near, without
+from lockstep import TO_HOLD, S, during, fly_with, near, with_guidance, without
 
 from companion.io.mavlink_codec import MavlinkCodec, dialect
 from companion.messages import AttitudeSetpoint, Phase, RelativeState
+from sim_bridge import flight as flights
 from sim_bridge.scenario import TANKER_SPACE_M
 
 
@@ -69,3 +70,25 @@ def test_a_dead_estimate_does_not_stop_it(tmp_path):
     assert sent[-1].t_ns / S > began_s + 9.0
     assert np.allclose(np.diff([o.t_ns / S for o in sent]), 0.02, atol=1e-6)
     assert sent[-1].thrust > 0.1  # level flight again, after its time
+
+
+def test_who_breaks_away_far_out_on_the_way_in_stays_out(tmp_path, monkeypatch):
+    """Beyond the separation and closing in: being far is not being clear. A minute later it is farther still."""
+    monkeypatch.setattr(flights, "BREAKAWAY_WATCH_S", 60.0)
+    start = {"start_tanker_m": (-115.0, -2.0, 25.0), "timeout_s": 120.0}
+    scenario, setup = near(234, turbulence="light", vision_input="detections", **start)
+    setup = with_guidance(setup, procedure="refuelling")
+    flight = fly_with(tmp_path, scenario, setup, during(Phase.PRE_CONTACT, 16.0, 99.0, asked()))
+    assert flight.failure is None
+    assert flight.phases == [Phase.JOIN, Phase.OBSERVATION, Phase.PRE_CONTACT, Phase.BREAKAWAY]
+    t_s = np.array(flight.t_s) - flight.entered_s(Phase.BREAKAWAY)
+    br = np.array(flight.truth_br)
+    begin = int(np.searchsorted(t_s, 0.0))
+    closing_m_s = (br[begin, 0] - br[begin - 200, 0]) / 1.0
+    assert np.linalg.norm(br[begin]) > setup.config.guidance.breakaway_separation_m
+    assert closing_m_s > 1.0
+    forward_m = br[begin:, 0] - br[begin, 0]
+    assert forward_m.max() < 6.0  # what two metres a second take to be braked away
+    assert forward_m[-1] < -50.0
+    turned = int(np.argmax(forward_m))
+    assert (forward_m[turned:] - np.minimum.accumulate(forward_m[turned:])).max() < 1.0  # it never comes back
