@@ -36,7 +36,9 @@ DURATION_S = 2.0 * SIDE_S + WATCH_S
 
 GAIN = (0.5, 1.5)
 DELAY_MAX_S = 0.5
-RESIDUAL_MAX = 0.2
+RESIDUAL_MAX = 0.35
+"""Measured: 0.02 to 0.05 in lockstep in moderate turbulence, 0.04 on the wall clock; a machine that stalls adds jitter.
+What does not follow fails by gain and delay, whatever the residual."""
 GAP_S = 0.3
 
 STEP_S = 0.01

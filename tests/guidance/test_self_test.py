@@ -100,6 +100,7 @@ def test_gusts_alone_never_pass_for_an_autopilot(seed, gust_rad, bank_rad):
     ({"gain": 0.4}, "too_little"),
     ({"gain": 1.7}, "too_much"),
     ({"delay_s": 0.6}, "too_late"),
+    ({"delay_s": 0.7}, "too_late"),
     ({"delay_s": 0.8}, "too_late"),
     ({"stiffness": 0.25}, "too_little"),
 ])
@@ -110,6 +111,25 @@ def test_what_is_wrong_is_told(what, fault, seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_in_a_roll_that_is_not_the_doublets_nothing_can_be_seen(seed):
     assert judged(Autopilot(seed=seed, gust_rad=0.08)).fault == "not_as_modelled"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_machine_that_stalls_is_not_the_autopilots_fault(seed):
+    """In gusts, and from one step in twenty on it holds the last setpoint for up to 0.2 s."""
+    rng, held = np.random.default_rng(seed), [None, 0]
+
+    def stalls(setpoint):
+        if held[1] == 0 and rng.random() < 0.05:
+            held[1] = int(rng.integers(2, 11))
+        held[1] = max(0, held[1] - 1)
+        held[0] = setpoint if held[1] == 0 or held[0] is None else held[0]
+        return setpoint
+
+    class Stalled(Autopilot):
+        def fly(self, setpoint):
+            return super().fly(held[0] if setpoint is not None else None)
+
+    assert judged(Stalled(seed=seed, gust_rad=GUST_RAD), stalls).fault == ""
 
 
 def test_half_the_gain_is_too_little():
