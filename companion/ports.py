@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol
 
-from companion.messages import Event, Health, Output, Setpoint
+from companion.messages import Event, Health, Output, Phase, Setpoint
 
 
 class Clock(Protocol):
@@ -33,6 +33,9 @@ class SetpointSink(Protocol):
 
     def health(self, health: Health) -> None:
         """Take how all stages are: told when one changes."""
+
+    def phase(self, phase: Phase) -> None:
+        """Take the phase that has begun: what it has no use for is refused."""
 
 
 class Recorder(Protocol):

@@ -106,6 +106,7 @@ class Service:
                 self._pending_exposure_ns = output.t_ns
             elif isinstance(output, PhaseChange):
                 self.phase_since_ns = output.t_ns
+                self._sink.phase(output.new)
         self._latencies.event(event, self._t_ns)
         if isinstance(event, Tick):
             outputs = [*outputs, *self._latencies.due(self._t_ns)]

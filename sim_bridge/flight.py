@@ -64,6 +64,10 @@ class LockstepCompanion:
         """Tell the link how all stages are."""
         self.link.health(health)
 
+    def phase(self, phase: Phase) -> None:
+        """Tell the link which phase has begun."""
+        self.link.phase(phase)
+
     def hear(self, data: bytes) -> None:
         """Take bytes of the autopilot."""
         if data:

@@ -66,6 +66,9 @@ class Sink:
     def health(self, health):
         pass
 
+    def phase(self, phase):
+        raise AssertionError(phase)
+
 
 def test_the_service_records_and_shows_what_each_input_costs(tmp_path):
     setup, clock, seen = load_setup(FIRMWARE_CONFIGS / "sitl" / "thesis.toml"), SimulatedClock(), []

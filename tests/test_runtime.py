@@ -100,6 +100,9 @@ class Sink:
     def health(self, health):
         assert not health.well
 
+    def phase(self, phase):
+        raise AssertionError(phase)
+
 
 def service_on(clock, folder):
     setup = load_setup(FIRMWARE_CONFIGS / "sitl" / "thesis.toml")

@@ -5,8 +5,8 @@ Rules
 * Telemetry counts only from ``links.system_id``/``links.autopilot_component_id``; commands from the vehicle's own
   system or ``links.gcs_system_id``, addressed to our component: MAV_CMD_USER_1 with 0 engage, 1 pre-contact, 2 contact,
   3 disconnect, USER_2 breakaway, USER_3 clear, USER_4 real vision, USER_5 simulated vision (``telemetry.COMMANDS``);
-  that a phase has no use for a command is told by the phases, not in the answer. Every command addressed to us is
-  acknowledged; what is addressed elsewhere is left alone.
+  one that the phase has no use for (``modes.OBEYED``) is answered as temporarily rejected and goes no farther. Every
+  command addressed to us is acknowledged; what is addressed elsewhere is left alone.
 * Stamps of the autopilot's clock (milliseconds since boot) are brought to the companion's base with the offset that
   TIMESYNC gives; before that, telemetry with a stamp is rejected as ``no_timesync``. Where the autopilot's clock steps
   against ours, a ``TimeStep`` comes before anything that is stamped the new way.
@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from companion.config import LinksConfig
+from companion.guidance.modes import OBEYED
 from companion.io import telemetry
 from companion.io.autopilot_clock import NS_PER_MS, AutopilotClock
 from companion.io.mavlink_codec import MavlinkCodec, Message, dialect
@@ -27,7 +28,7 @@ from companion.io.status import HealthReport, status_text
 from companion.io.telemetry import SOURCE
 from companion.io.timesync import WRAP_MS
 from companion.io.transport import Address, UdpTransport
-from companion.messages import Event, Health, OperatorCommand, Reject, Setpoint
+from companion.messages import Event, Health, OperatorCommand, Phase, Reject, Setpoint
 from companion.ports import Clock
 
 __all__ = ["AutopilotLink", "MavlinkCodec", "MavlinkUdp", "Message", "dialect"]
@@ -53,6 +54,7 @@ class AutopilotLink:
         self.codec = MavlinkCodec(config.system_id, config.component_id)
         self.clock = AutopilotClock()
         self._health = HealthReport()
+        self._phase = Phase.STANDBY
         self.last_heard_ns: int | None = None
         self._us = (config.system_id, config.component_id)
         self._autopilot = (config.system_id, config.autopilot_component_id)
@@ -147,6 +149,9 @@ class AutopilotLink:
         if source[0] not in self._operators:
             result = dialect.MAV_RESULT_DENIED
             event = Reject(now_ns, SOURCE, "foreign_source", f"command {message.command} from {source[0]}/{source[1]}")
+        elif command is not None and self._phase not in OBEYED.get(command, {self._phase}):
+            result = dialect.MAV_RESULT_TEMPORARILY_REJECTED
+            event = Reject(now_ns, "operator", f"{command}_not_now", f"phase {self._phase}")
         elif command is not None:
             event = OperatorCommand(now_ns, command)
         self._reply(dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source), now_ns)
@@ -177,6 +182,10 @@ class AutopilotLink:
     def health(self, health: Health) -> None:
         """Take how all stages are: what follows leaves with ``outgoing``."""
         self._health.take(health)
+
+    def phase(self, phase: Phase) -> None:
+        """Take the phase that has begun; it is standby at first."""
+        self._phase = phase
 
     def encode_setpoint(self, setpoint: Setpoint, now_ns: int) -> bytes | None:
         """Return the setpoint's message, or None when the setpoint must not leave; the next ``receive`` tells why."""
@@ -256,6 +265,10 @@ class MavlinkUdp:
     def health(self, health: Health) -> None:
         """Take how all stages are; the autopilot and its ground station are told with the next ``poll``."""
         self.link.health(health)
+
+    def phase(self, phase: Phase) -> None:
+        """Take the phase that has begun: commands are answered by it."""
+        self.link.phase(phase)
 
     def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         """Send a STATUSTEXT for the operator."""

@@ -17,6 +17,7 @@ TRIES, ANSWER_S, POLL_S = 5, 0.4, 0.01
 
 RESULTS = {
     dialect.MAV_RESULT_ACCEPTED: "accepted",
+    dialect.MAV_RESULT_TEMPORARILY_REJECTED: "refused, the present phase has no use for it",
     dialect.MAV_RESULT_DENIED: "denied",
     dialect.MAV_RESULT_UNSUPPORTED: "unsupported",
 }

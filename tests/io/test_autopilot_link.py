@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from companion.config import LinksConfig
 from companion.geometry import rotation_from_euler, rotation_from_quaternion
+from companion.guidance.modes import OBEYED
 from companion.io.mavlink import AutopilotLink, MavlinkCodec, Message, dialect
+from companion.io.telemetry import COMMANDS
 from companion.messages import (
     AttitudeSetpoint,
     AutopilotMode,
@@ -22,6 +24,7 @@ from companion.messages import (
     OperatorCommand,
     OwnAttitude,
     OwnPosition,
+    Phase,
     Reject,
 )
 
@@ -194,6 +197,24 @@ def test_an_operators_commands_arrive_and_are_acknowledged(number: int, expected
     [ack] = decoded(link.replies())
     assert (ack.command, ack.result) == (number, dialect.MAV_RESULT_ACCEPTED)
     assert (ack.target_system, ack.target_component) == (255, 190)
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+@pytest.mark.parametrize("asked", list(Command))
+def test_what_the_phase_has_no_use_for_is_answered_so_and_counted(phase: Phase, asked: Command):
+    """An operator who is told accepted may rely on it that the phases will look at it."""
+    link = AutopilotLink(LinksConfig())
+    link.phase(phase)
+    number, param1 = COMMANDS[asked]
+    message = dialect.MAVLink_command_long_message(1, 191, number, 0, param1 or 0.0, 0, 0, 0, 0, 0, 0)
+    [event] = link.receive(packed(message, 255, 190), S)
+    [ack] = decoded(link.replies())
+    if asked in OBEYED and phase not in OBEYED[asked]:
+        assert event == Reject(S, "operator", f"{asked}_not_now", f"phase {phase}")
+        assert ack.result == dialect.MAV_RESULT_TEMPORARILY_REJECTED
+    else:
+        assert event == OperatorCommand(S, asked)
+        assert ack.result == dialect.MAV_RESULT_ACCEPTED
 
 
 def test_other_commands_to_us_are_unsupported_and_commands_to_others_left_alone():

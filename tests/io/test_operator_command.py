@@ -10,12 +10,13 @@ import time
 import pytest
 
 from companion.config import FIRMWARE_CONFIGS, ConfigError, LinksConfig
+from companion.guidance.modes import OBEYED
 from companion.io.clock import SimulatedClock
 from companion.io.mavlink import AutopilotLink, MavlinkUdp, dialect
 from companion.io.mavlink_codec import MavlinkCodec
 from companion.io.operator import GCS_COMPONENT_ID, Operator, send_command
 from companion.io.telemetry import COMMANDS
-from companion.messages import Command, OperatorCommand
+from companion.messages import Command, OperatorCommand, Phase
 from sim_bridge.operator import ScheduledOperator
 from sim_bridge.scenario import TimedCommand
 
@@ -44,9 +45,12 @@ def listening():
 
 @pytest.mark.parametrize("command", list(Command))
 def test_a_command_arrives_and_is_answered(listening, command):
+    """By a companion in standby."""
     port, heard = listening
-    assert send_command(f"udpout:127.0.0.1:{port}", command, LinksConfig()) == "accepted"
-    assert {e.command for e in heard if isinstance(e, OperatorCommand)} == {command}
+    useful = Phase.STANDBY in OBEYED.get(command, set(Phase))
+    answer = "accepted" if useful else "refused, the present phase has no use for it"
+    assert send_command(f"udpout:127.0.0.1:{port}", command, LinksConfig()) == answer
+    assert {e.command for e in heard if isinstance(e, OperatorCommand)} == ({command} if useful else set())
 
 
 def test_a_stranger_is_denied(listening):
@@ -60,18 +64,20 @@ def test_nobody_there_is_one_line():
         send_command("udpout:127.0.0.1:9", Command.ENGAGE, LinksConfig())
 
 
-@pytest.mark.parametrize("name", ["simulated_vision", "contact"])
-def test_the_command_line_speaks(listening, name):
+@pytest.mark.parametrize(("name", "code", "answer"), [
+    ("simulated_vision", 0, "accepted"), ("contact", 1, "refused, the present phase has no use for it")])
+def test_the_command_line_speaks(listening, name, code, answer):
     port, heard = listening
     call = [sys.executable, "-m", "companion", "command", name, "--mavlink", f"udpout:127.0.0.1:{port}"]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name}: accepted\n", "")
-    assert {e.command for e in heard if isinstance(e, OperatorCommand)} == {Command(name)}
+    assert (done.returncode, done.stdout, done.stderr) == (code, f"{name}: {answer}\n", "")
+    assert {e.command for e in heard if isinstance(e, OperatorCommand)} == (set() if code else {Command(name)})
 
 
-def told(number, *parameters, kind="long"):
+def told(number, *parameters, kind="long", phase=Phase.STANDBY):
     """Return what the link makes of a command, and what it answers."""
     codec, link = MavlinkCodec(LINKS.gcs_system_id, GCS_COMPONENT_ID), AutopilotLink(LINKS)
+    link.phase(phase)
     target = (LINKS.system_id, LINKS.component_id)
     p = (*parameters, *[0.0] * (7 - len(parameters)))
     if kind == "long":
@@ -95,7 +101,8 @@ def test_a_gate_that_there_is_not_is_denied(param1):
 ])
 @pytest.mark.parametrize("others", [(), (math.nan,) * 6])
 def test_gates_are_told_by_their_first_parameter_alone(param1, command, others):
-    assert told(dialect.MAV_CMD_USER_1, param1, *others) == ([command], dialect.MAV_RESULT_ACCEPTED)
+    phase = min(OBEYED[command])
+    assert told(dialect.MAV_CMD_USER_1, param1, *others, phase=phase) == ([command], dialect.MAV_RESULT_ACCEPTED)
 
 
 @pytest.mark.parametrize("param1", [0.0, 7.0, math.nan])
@@ -122,13 +129,15 @@ def test_a_scenarios_operator_says_the_same(command):
     assert scheduled.due(2_000_000_000) == [command]
     assert scheduled.due(2_000_000_000) == []
     assert scheduled.frame(command) == Operator(LINKS).frame(command)
-    events = AutopilotLink(LINKS).receive(scheduled.frame(command), 1)
+    link = AutopilotLink(LINKS)
+    link.phase(min(OBEYED.get(command, set(Phase))))
+    events = link.receive(scheduled.frame(command), 1)
     assert [e.command for e in events] == [command]
 
 
 @pytest.mark.slow
 def test_a_command_that_the_phase_has_no_use_for_is_told_in_words(tmp_path):
-    """A running companion accepts CONTACT on the link, and says that its phase has no use for it."""
+    """A running companion refuses CONTACT on the link, and says itself that its phase has no use for it."""
     text = (FIRMWARE_CONFIGS / "sitl" / "docking.toml").read_text(encoding="utf-8")
     text = text.replace('"../', f'"{FIRMWARE_CONFIGS}/').replace("runs/tanker-datalink,19600", "")
     text = text.replace("tcp://127.0.0.1:14560", "")
