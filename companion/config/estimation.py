@@ -4,29 +4,43 @@ from __future__ import annotations
 
 from typing import Literal
 
-from companion.config.base import Rules, Struct
+from companion.config.base import Rules, Struct, Vec3
 
 
 class FilterConfig(Struct, frozen=True, kw_only=True):
     """The filter of relative position, velocity and attitude: noise of what comes in, spread of what it estimates.
 
-    GPS and velocity sigmas are of one aircraft, per axis; ``attitude_sigma_rad`` of one INS' noise, per axis. Velocity
-    noise is drawn anew every ``velocity_hold_s`` (thesis 3.2). ``pixel_sigma_px`` is added to what the detection says
-    of a centroid: calibration and light, as far as they change from frame to frame.
+    GPS, velocity, attitude and rate sigmas are of one aircraft's noise, per axis; ``velocity_sigma_m_s`` across the
+    path, ``speed_sigma_m_s`` along it, drawn anew every ``velocity_hold_s`` (thesis 3.2). ``stamp_sigma_s``: how wrong
+    samples are stamped; the datalink's time is a float32. ``pixel_sigma_px`` is added to what the detection says of a
+    centroid: calibration and light, as far as they change from frame to frame; ``position_walk``, m per root of a
+    second, stands for what all centroids of a picture err together and slowly, which is along the path mostly.
+
+    ``*_acceleration_m_s2`` along the path, to the right, down, and ``*_turn_rad_s2`` about the body's axes: what an
+    aircraft does beyond what its last samples say, RMS. Measured in moderate turbulence, up to 0.6 s past the newest
+    sample; it is half of that in light.
 
     ``*_initial_*``: standard deviation of the correction at the start, ``*_walk``: its growth per root of a second.
     The GPS bias is a Gauss-Markov process of ``gps_bias_sigma_m`` and ``gps_bias_s``: it walks as one of 1 m and 60 s
-    does (0.18 m per root of a second) and lets another height datum in at the start. ``gate_probability``: how often a good measurement is refused.
-    ``horizon_s``: how late a measurement may come. A source that has been refused for ``refused_s`` and agrees with
-    itself is believed again; labelled lights so only within ``vision_leads_m`` of the tanker. ``sight_lasts_s``: how
-    long after the last sight single detections may be told apart by the filter.
+    does (0.18 m per root of a second) and lets another height datum in at the start. ``gate_probability``: how often a
+    good measurement is refused. ``horizon_s``: how late a measurement may come. A source that has been refused for
+    ``refused_s`` and agrees with itself is believed again; labelled lights so only within ``vision_leads_m`` of the
+    tanker. ``sight_lasts_s``: how long after the last sight single detections may be told apart by the filter.
     """
 
     gps_sigma_m: float = 0.1
     velocity_sigma_m_s: float = 0.041
+    speed_sigma_m_s: float = 0.0014
     velocity_hold_s: float = 0.05
+    stamp_sigma_s: float = 4.4e-6
     attitude_sigma_rad: float = 1.4e-4
-    pixel_sigma_px: float = 0.02
+    rate_sigma_rad_s: float = 4.5e-4
+    own_acceleration_m_s2: Vec3 = (0.25, 0.4, 1.6)
+    tanker_acceleration_m_s2: Vec3 = (0.03, 0.15, 0.6)
+    own_turn_rad_s2: Vec3 = (1.3, 0.22, 0.06)
+    tanker_turn_rad_s2: Vec3 = (0.025, 0.01, 0.01)
+    pixel_sigma_px: float = 0.006
+    position_walk: float = 0.0025
     velocity_initial_m_s: float = 0.1
     velocity_walk: float = 0.01
     attitude_initial_rad: float = 0.002
@@ -102,11 +116,15 @@ def fusion_rules(fusion: FusionConfig) -> Rules:
 
 def filter_rules(c: FilterConfig) -> Rules:
     """Return what has to hold of the filter."""
-    spreads = ("velocity_initial_m_s", "velocity_walk", "attitude_initial_rad", "attitude_walk", "gps_bias_sigma_m",
-               "boresight_initial_rad", "boresight_walk", "lag_initial_s", "lag_walk")
+    unforeseen = ("own_acceleration_m_s2", "tanker_acceleration_m_s2", "own_turn_rad_s2", "tanker_turn_rad_s2")
+    spreads = ("position_walk", "stamp_sigma_s", "rate_sigma_rad_s", "velocity_initial_m_s", "velocity_walk",
+               "attitude_initial_rad", "attitude_walk", "gps_bias_sigma_m", "boresight_initial_rad", "boresight_walk",
+               "lag_initial_s", "lag_walk")
     return [
-        (min(c.gps_sigma_m, c.velocity_sigma_m_s, c.attitude_sigma_rad, c.pixel_sigma_px) > 0,
-         "fusion.filter: gps_sigma_m, velocity_sigma_m_s, attitude_sigma_rad and pixel_sigma_px must be positive"),
+        (min(c.gps_sigma_m, c.velocity_sigma_m_s, c.speed_sigma_m_s, c.attitude_sigma_rad, c.pixel_sigma_px) > 0,
+         "fusion.filter: gps_sigma_m, velocity_sigma_m_s, speed_sigma_m_s, attitude_sigma_rad and pixel_sigma_px "
+         "must be positive"),
+        *((min(getattr(c, name)) >= 0, f"fusion.filter.{name} must not have negative parts") for name in unforeseen),
         *((getattr(c, name) >= 0, f"fusion.filter.{name} must not be negative") for name in spreads),
         (max(c.attitude_initial_rad, c.boresight_initial_rad) < 0.2,
          "fusion.filter: attitude_initial_rad and boresight_initial_rad must be below 0.2 rad: they are corrections"),

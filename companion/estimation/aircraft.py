@@ -56,6 +56,7 @@ class Aircraft:
         self._begin()
 
     def _begin(self) -> None:
+        self._last: Aligned | None = None
         self.own_motion = MotionHistory()
         self.own_attitude = AttitudeHistory()
         self.tanker_motion = MotionHistory()
@@ -69,6 +70,7 @@ class Aircraft:
 
     def own_attitude_event(self, m: OwnAttitude) -> Reject | None:
         """Take the receiver's attitude; return what is odd about it, whether or not it counts."""
+        self._last = None
         history = self.own_attitude
         fault = history.fault(m.t_ns)
         if not fault and self._attitude_content.lasts(m.t_ns, m.R_ned_frd, m.omega_frd_rad_s):
@@ -82,6 +84,7 @@ class Aircraft:
 
     def own_position_event(self, m: OwnPosition) -> Reject | None:
         """Take the receiver's position and velocity; return what is odd about it, whether or not it counts."""
+        self._last = None
         fault = self.own_motion.fault(m.t_ns)
         if not fault and self._position_content.lasts(m.t_ns, m.p_ned_m, m.v_ned_m_s):
             fault = "frozen"
@@ -93,6 +96,7 @@ class Aircraft:
 
     def tanker_event(self, m: TankerState) -> Reject | None:
         """Take the tanker's state; return what is odd about it, whether or not it counts."""
+        self._last = None
         attitude = (m.t_ns, m.R_ned_tanker, m.omega_tanker_rad_s)
         fault = self.tanker_motion.fault(m.t_ns)
         if not fault and self._tanker_content.lasts(m.t_ns, m.p_ned_m, m.v_ned_m_s, *attitude[1:]):
@@ -116,6 +120,7 @@ class Aircraft:
         if not m.continuous:
             self.restart()
             return
+        self._last = None
         for history in (self.own_motion, self.own_attitude, self.tanker_motion, self.tanker_attitude):
             history.shift(m.step_ns)
         self._watches()
@@ -143,7 +148,12 @@ class Aircraft:
         return min(self.position_ns or 0, self.attitude_ns or 0, self.tanker_ns or 0)
 
     def align(self, t_ns: int) -> Aligned | None:
-        """Return both aircraft at one instant, or None when a source has nothing, or only stale samples, for it."""
+        """Return both aircraft at one instant, or None when a source has nothing, or only stale samples, for it.
+
+        Several ask for one instant: the last answer is kept until something new is told.
+        """
+        if self._last is not None and self._last.t_ns == t_ns:
+            return self._last
         own, own_attitude = self.own_motion.at(t_ns), self.own_attitude.at(t_ns)
         tanker, tanker_attitude = self.tanker_motion.at(t_ns), self.tanker_attitude.at(t_ns)
         if own is None or own_attitude is None or tanker is None or tanker_attitude is None:
@@ -151,7 +161,8 @@ class Aircraft:
         own_age_s = (t_ns - min(self.position_ns or 0, self.attitude_ns or 0)) * NS
         if own_age_s > self._config.own_stale_s or (t_ns - (self.tanker_ns or 0)) * NS > self._config.tanker_stale_s:
             return None
-        return Aligned(t_ns, own, own_attitude, tanker, tanker_attitude)
+        self._last = Aligned(t_ns, own, own_attitude, tanker, tanker_attitude)
+        return self._last
 
     def T_cam_tanker(self, a: Aligned, p_ned_tanker_frd_m: Vec) -> SE3:
         """Return the thesis' ^C T_T (Fig. 3.6) from INU angles and the relative position of the centres of mass."""

@@ -180,11 +180,16 @@ class MotionHistory(History[Motion]):
 
     def _slope(self) -> Vec:
         first = bisect_left(self._t_ns, self._t_ns[-1] - int(ACCELERATION_S / NS))
-        t_s = NS * (np.array(self._t_ns[first:]) - self._t_ns[-1])
+        t_s = [NS * (t_ns - self._t_ns[-1]) for t_ns in self._t_ns[first:]]
         if len(t_s) < 3 or t_s[0] > -0.5 * ACCELERATION_S:
             return np.zeros(3)  # too few, or too close together, to tell
-        t_s = t_s - t_s.mean()
-        a: Vec = t_s @ np.array([s.v_ned_m_s for s in self._samples[first:]]) / (t_s @ t_s)
+        mean_s = sum(t_s) / len(t_s)
+        n = e = d = squares = 0.0
+        for at_s, sample in zip(t_s, self._samples[first:], strict=True):  # numbers: arrays so short cost more
+            off_s = at_s - mean_s
+            v_n, v_e, v_d = sample.v_ned_m_s.tolist()
+            n, e, d, squares = n + off_s * v_n, e + off_s * v_e, d + off_s * v_d, squares + off_s * off_s
+        a = np.array((n, e, d)) / squares
         size = float(np.sqrt(a @ a))
         return a if size <= MAX_ACCELERATION_M_S2 else a * (MAX_ACCELERATION_M_S2 / size)
 

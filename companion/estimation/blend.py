@@ -25,8 +25,8 @@ from companion.messages import NS, FusedPose, Output, VisionOutput
 
 
 def nominal_cov(p_m: float, v_m_s: float, angle_rad: float) -> Mat:
-    """Return a covariance (9, 9) of position, velocity and relative attitude with these sigmas per axis."""
-    return np.diag(np.repeat([p_m, v_m_s, angle_rad], 3) ** 2)
+    """Return a covariance (12, 12) of ``Relative`` with these sigmas per axis, none for the receiver's INS."""
+    return np.diag(np.repeat([p_m, v_m_s, angle_rad, 0.0], 3) ** 2)
 
 
 BY_VISION = nominal_cov(0.05, 0.06, 0.001)

@@ -26,6 +26,7 @@ from companion.config import CameraConfig, FusionConfig
 from companion.estimation.aircraft import Aircraft, Aligned
 from companion.estimation.filter_history import FilterHistory
 from companion.estimation.filter_measurements import FrameReader, Measurement, geometry_of, gps_difference
+from companion.estimation.filter_noise import OWN, TANKER, TRAVEL, InsNoise, ages_of
 from companion.estimation.filter_state import BORESIGHT, THETA, Estimate, P, V
 from companion.estimation.filter_steps import Steps
 from companion.estimation.fusion import Prior, Relative
@@ -56,8 +57,7 @@ class RelativeFilter:
         self._reader = FrameReader(config.filter, camera, markers, to_plane)
         self._steps = Steps(config.filter, markers)
         c = config.filter
-        self._attitude_cov = c.attitude_sigma_rad**2 * np.eye(3)
-        self._velocity_cov = 2.0 * c.velocity_sigma_m_s**2 * np.eye(3)
+        self._noise = InsNoise(c)
         self._gps_alone_m2 = 3.0 * c.gps_bias_sigma_m**2
         self.restart()
 
@@ -96,8 +96,8 @@ class RelativeFilter:
         a = self._aircraft.align(seen.t_ns)
         if a is None:
             return []
-        tanker_ns = self._aircraft.tanker_ns or seen.t_ns
-        geometry = geometry_of(a, self._aircraft.T_frd_cam, tanker_ns, self._config.filter)
+        noise = self._noise.table(a, ages_of(self._aircraft, seen.t_ns))
+        geometry = geometry_of(a, self._aircraft.T_frd_cam, noise)
         updates = self._take(self._reader.read(seen, geometry))
         e = self._history.before(seen.t_ns)
         T_gps = self._aircraft.T_cam_tanker(a, a.p_ned_gps_m)
@@ -152,8 +152,10 @@ class RelativeFilter:
         J[:3, 16:19] = -R_cam_ned @ skew(r_ned_m)  # noise of the receiver's INS, which turns everything
         J[3:, 16:19], J[3:, 19:22] = -R_cam_ned, R_cam_ned
         wide = np.zeros((22, 22))
+        noise = self._noise.table(a, ages_of(self._aircraft, a.t_ns))
         wide[:16, :16] = cov
-        wide[16:, 16:] = np.kron(np.eye(2), self._attitude_cov)
+        wide[P, P] += noise[TRAVEL]
+        wide[16:19, 16:19], wide[19:, 19:] = noise[OWN], noise[TANKER]
         return J @ wide @ J.T
 
     def at(self, t_ns: int) -> Relative | None:
@@ -163,21 +165,35 @@ class RelativeFilter:
         if a is None or e is None or not e.ready:
             return None
         x, cov = self._steps.carried(e, t_ns)
-        out = cov[:9, :9].copy()
-        out[V, V] += self._velocity_cov
-        out[THETA, THETA] += self._attitude_cov  # the tanker's; the receiver's turns only its own short levers
         return Relative(
             aligned=a,
             p_ned_m=a.travel_difference_m + x[P],
             dv_ned_m_s=x[V],
             R_correction=exp_so3(x[THETA]),
             T_frd_cam=self._T_frd_cam(x),
-            cov=out,
+            cov=self._told_cov(a, cov, np.inf if e.sight_ns is None else (t_ns - e.sight_ns) * NS),
             estimate_ns=self._estimate_ns(e, t_ns),
             sight_ns=e.sight_ns,
             vision_weight=self._vision_weight(cov),
             markers_used=e.markers_used,
         )
+
+    def _told_cov(self, a: Aligned, cov: Mat, since_sight_s: float) -> Mat:
+        """Return the covariance (12, 12) of ``Relative``: the state's, and the noise of what is told now."""
+        ages = ages_of(self._aircraft, a.t_ns)
+        noise, out = self._noise.table(a, ages), np.zeros((12, 12))
+        out[:9, :9] = cov[:9, :9]
+        out[P, P] += noise[TRAVEL]
+        out[V, V] += self._noise.velocity(a, ages)
+        out[THETA, THETA] += noise[OWN] + noise[TANKER]
+        out[9:, 9:] = noise[OWN]
+        out[THETA, 9:] = out[9:, THETA] = -noise[OWN]  # the receiver's noise turns the tanker against it
+        of_tanker = self._noise.with_travel(a, ages.tanker_s, since_sight_s)
+        of_own = -self._noise.with_travel(a, ages.position_s, since_sight_s)
+        out[P, THETA] += of_tanker - of_own
+        out[THETA, P] = out[P, THETA].T
+        out[P, 9:], out[9:, P] = of_own, of_own.T
+        return out
 
     def _estimate_ns(self, e: Estimate, t_ns: int) -> int:
         """Return how old the estimate is: INS samples, and GPS while it is taken, else the last sight."""

@@ -15,8 +15,11 @@ STATES = 16
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def predict(x: Vec, P: Mat, dt: float, noise: Vec) -> None:
-    """Carry state x (16,) and covariance P (16, 16) ``dt`` s on, in place; ``noise`` of ``process_noise``."""
+def predict(x: Vec, P: Mat, dt: float, noise: Vec, v: Vec) -> None:
+    """Carry state x (16,) and covariance P (16, 16) ``dt`` s on, in place; ``noise`` of ``process_noise``.
+
+    ``v`` (3,): the path, along which travels have less noise than across it; of zeros: as across on all axes.
+    """
     fade = np.exp(-dt / noise[4])
     for i in range(3):
         x[i] += dt * x[3 + i]
@@ -28,7 +31,11 @@ def predict(x: Vec, P: Mat, dt: float, noise: Vec) -> None:
         for i in range(STATES):
             P[i, j] += dt * P[i, 3 + j]
             P[i, 9 + j] *= fade
+    squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    less = dt * (noise[7] - noise[0]) / squared if squared > 0.0 else 0.0
     for i in range(3):
+        for j in range(3):
+            P[i, j] += less * v[i] * v[j]
         P[i, i] += noise[0] * dt + noise[1] * dt * dt * dt / 3.0
         P[i, 3 + i] += 0.5 * noise[1] * dt * dt
         P[3 + i, i] += 0.5 * noise[1] * dt * dt

@@ -15,7 +15,7 @@ from companion.config import CameraConfig, FilterConfig
 from companion.estimation.aircraft import Aligned
 from companion.estimation.filter_state import Offset
 from companion.geometry import SE3, Mat, Vec
-from companion.messages import NS, Detections, VisionOutput
+from companion.messages import Detections, VisionOutput
 
 FEW_FOR_OFFSET = 4
 """A pose of fewer markers does not speak for itself when the filter refuses what it rests on."""
@@ -44,10 +44,11 @@ class Geometry:
     """
 
     table: Mat
-    noise: Vec
+    noise: Mat
     R_ned_cam: Mat
     lever_ned_m: Vec
     travel_m: Vec
+    v_ned_tanker_m_s: Vec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +82,11 @@ class PixelFrame:
         """Return where it stands among the measurements of a flight."""
         return self.t_ns, 1
 
+    @property
+    def v_ned_tanker_m_s(self) -> Vec:
+        """Return the tanker's velocity (3,) as it was told of the exposure."""
+        return self.geometry.v_ned_tanker_m_s
+
 
 Measurement = GpsDifference | PixelFrame
 
@@ -90,11 +96,8 @@ def gps_difference(a: Aligned) -> GpsDifference:
     return GpsDifference(a.t_ns, a.p_ned_gps_m - a.travel_difference_m, a.tanker.v_ned_m_s)
 
 
-def geometry_of(a: Aligned, T_frd_cam: SE3, tanker_ns: int, c: FilterConfig) -> Geometry:
-    """Return the aircraft about an exposure; ``tanker_ns``: the newest state of the tanker, from which it is carried.
-
-    Beyond that state the tanker's travel has the noise of its velocity for so long.
-    """
+def geometry_of(a: Aligned, T_frd_cam: SE3, noise: Mat) -> Geometry:
+    """Return the aircraft about an exposure; ``noise`` (9, 3) of ``filter_noise.InsNoise.table``."""
     R_ned_cam = a.own_attitude.R_ned_body @ T_frd_cam.R
     table = np.empty((9, 3))
     table[0:3] = R_ned_cam.T
@@ -102,10 +105,8 @@ def geometry_of(a: Aligned, T_frd_cam: SE3, tanker_ns: int, c: FilterConfig) -> 
     table[6] = T_frd_cam.R.T @ T_frd_cam.t
     table[7] = a.travel_difference_m
     table[8] = a.tanker_attitude.omega_body_rad_s
-    ahead_s = max(0.0, (a.t_ns - tanker_ns) * NS)
-    noise = np.array([c.attitude_sigma_rad, max(c.velocity_sigma_m_s * ahead_s, 1e-6)])
     lever_ned_m = a.own_attitude.R_ned_body @ T_frd_cam.t
-    return Geometry(table, noise, R_ned_cam, lever_ned_m, a.travel_difference_m)
+    return Geometry(table, noise, R_ned_cam, lever_ned_m, a.travel_difference_m, a.tanker.v_ned_m_s)
 
 
 class FrameReader:

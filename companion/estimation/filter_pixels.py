@@ -21,8 +21,8 @@ from companion.geometry import Mat, Vec
 
 NOISE = 9
 WIDE = STATES + NOISE
-OWN_NOISE, TANKER_NOISE, TRAVEL_NOISE = 16, 19, 22
-"""Noise of one frame: attitude of the receiver's and of the tanker's INS (ned), difference of travels."""
+OWN_NOISE = 16
+"""Where the noise of one frame begins: attitude of the receiver's, of the tanker's INS (ned), difference of travels."""
 
 NEAREST_M = 0.1
 """A marker nearer to the camera's plane than this is not one that was seen."""
@@ -135,16 +135,16 @@ def squared_size(u: float, v: float, uu: float, cc: float, vv: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def widened(x: Vec, P: Mat, noise: Vec, x_wide: Vec, P_wide: Mat) -> None:
-    """Write state and covariance with the noise of one frame beside them; ``noise`` (2,): attitude rad, travel m."""
+def widened(x: Vec, P: Mat, noise: Mat, x_wide: Vec, P_wide: Mat) -> None:
+    """Write state and covariance with the noise of one frame beside them; ``noise`` (9, 3) of ``InsNoise.table``."""
     x_wide[:] = 0.0
     P_wide[:, :] = 0.0
     x_wide[:STATES] = x
     P_wide[:STATES, :STATES] = P
-    for i in range(OWN_NOISE, TRAVEL_NOISE):
-        P_wide[i, i] = noise[0] * noise[0]
-    for i in range(TRAVEL_NOISE, WIDE):
-        P_wide[i, i] = noise[1] * noise[1]
+    for k in range(NOISE // 3):
+        for i in range(3):
+            for j in range(3):
+                P_wide[OWN_NOISE + 3 * k + i, OWN_NOISE + 3 * k + j] = noise[3 * k + i, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -194,7 +194,7 @@ def moved(x: Vec, x_at: Vec, distance_m: float) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def take_pixels(
-    x: Vec, P: Mat, geometry: Mat, markers: Mat, uv: Mat, sigma: Vec, noise: Vec, gate: float, alone: Vec, nis: Vec
+    x: Vec, P: Mat, geometry: Mat, markers: Mat, uv: Mat, sigma: Vec, noise: Mat, gate: float, alone: Vec, nis: Vec
 ) -> tuple[int, float]:
     """Take labelled markers (k, 3) seen at uv (k, 2), sigma (k,) on z = 1, in place; return status and NIS.
 
@@ -243,7 +243,7 @@ def take_pixels(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def expected_pixels(x: Vec, P: Mat, geometry: Mat, markers: Mat, noise: Vec, uv: Mat, S: Mat) -> bool:
+def expected_pixels(x: Vec, P: Mat, geometry: Mat, markers: Mat, noise: Mat, uv: Mat, S: Mat) -> bool:
     """Write where markers (k, 3) are expected on z = 1, uv (k, 2), and with what covariance, S (k, 3): uu, uv, vv."""
     n = len(markers)
     x_wide, P_wide, H = np.empty(WIDE), np.empty((WIDE, WIDE)), np.empty((2 * n, WIDE))

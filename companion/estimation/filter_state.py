@@ -17,7 +17,7 @@ slice           unit, axes   meaning
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -51,7 +51,8 @@ class Estimate:
     ``x`` (16,), ``cov`` (16, 16). ``ready``: there is a position at all. ``sight_ns``, ``gps_ns``: the last frame and
     the last difference of positions that were taken. ``pixel_offsets``, ``gps_offsets``: what those of them said that
     were refused since (before the start: all), to tell a source that has something to say from one that errs.
-    ``gps_offset``: the newest difference of positions less that of travels, taken or not.
+    ``gps_offset``: the newest difference of positions less that of travels, taken or not. ``v_ned_tanker_m_s`` (3,) as
+    it was told: the path.
     """
 
     t_ns: int
@@ -65,6 +66,7 @@ class Estimate:
     gps_offsets: tuple[Offset, ...] = ()
     pixel_offsets: tuple[Offset, ...] = ()
     pixels_refused_ns: int | None = None
+    v_ned_tanker_m_s: Vec = field(default_factory=lambda: np.zeros(3))
 
     @property
     def position_sigma_m(self) -> float:
@@ -93,11 +95,14 @@ def unknown(t_ns: int, c: FilterConfig) -> Estimate:
 
 
 def process_noise(c: FilterConfig) -> Vec:
-    """Return what ``filter_kernel.predict`` takes (7,): powers per second, and sigma and time constant of the bias.
+    """Return what ``filter_kernel.predict`` takes (8,): powers per second, and sigma and time constant of the bias.
 
-    Position: the noise of two velocities, drawn anew every ``velocity_hold_s`` (thesis 3.2), integrated.
+    Position, across the path (0) and along it (7): the noise of two velocities, drawn anew every ``velocity_hold_s``
+    (thesis 3.2), integrated, and ``position_walk``.
     """
+    travel, walk = 2.0 * c.velocity_hold_s, c.position_walk**2
     return np.array([
-        2.0 * c.velocity_sigma_m_s**2 * c.velocity_hold_s, c.velocity_walk**2, c.attitude_walk**2,
+        travel * c.velocity_sigma_m_s**2 + walk, c.velocity_walk**2, c.attitude_walk**2,
         c.gps_bias_sigma_m, c.gps_bias_s, c.boresight_walk**2, c.lag_walk**2,
+        travel * c.speed_sigma_m_s**2 + walk,
     ])  # fmt: skip

@@ -76,13 +76,13 @@ class Steps:
         """Return state and covariance, copies, at an instant at or after that of the estimate."""
         x, cov = e.x.copy(), e.cov.copy()
         if t_ns > e.t_ns and e.ready:
-            predict(x, cov, (t_ns - e.t_ns) * NS, self._noise)
+            predict(x, cov, (t_ns - e.t_ns) * NS, self._noise, e.v_ned_tanker_m_s)
         return x, cov
 
     def take(self, e: Estimate, m: Measurement) -> tuple[Estimate, Outcome]:
         """Return the estimate at the instant of ``m``, which is not before that of ``e``, and what came of it."""
         x, cov = self.carried(e, m.t_ns)
-        e = replace(e, t_ns=m.t_ns, x=x, cov=cov)
+        e = replace(e, t_ns=m.t_ns, x=x, cov=cov, v_ned_tanker_m_s=m.v_ned_tanker_m_s)
         if isinstance(m, GpsDifference):
             return self._gps(e, m) if e.ready else self._gps_start(e, m)
         return self._frame(e, m) if e.ready else self._pose_start(e, m)

@@ -29,7 +29,8 @@ class Relative:
     ``p_ned_m`` (3,) from the tanker's centre of mass to the receiver's; ``dv_ned_m_s`` (3,) what to add to the
     receiver's velocity less the tanker's as the two INS tell them; ``R_correction`` (3, 3) turns the tanker's attitude
     as it is told to what it is against the receiver's INS: R_ned_tanker = R_correction R_told. ``T_frd_cam`` with the
-    boresight as it is found. ``cov`` (9, 9) of position, velocity, rotation of ``R_correction`` (ned axes).
+    boresight as it is found. ``cov`` (12, 12) of position, velocity, the tanker's attitude against the receiver's INS
+    as both are told at this instant, and the noise of the latter (left-hand rotations, ned axes).
     """
 
     aligned: Aligned

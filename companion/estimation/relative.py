@@ -69,13 +69,17 @@ class RelativeEstimator:
             range_m=float(np.sqrt(T_cam_tanker.t @ T_cam_tanker.t)),
             vision_weight=fused.vision_weight,
             markers_used=fused.markers_used,
-            cov_mrf_br_m2=self._cov(fused, R_mrf_ned, box_ned_m),
+            cov_mrf_br_m2=self._cov(fused, R_mrf_ned, box_ned_m, R_ned_frd @ self._receptacle_frd_m),
         )
 
-    def _cov(self, fused: Relative, R_mrf_ned: Mat, box_ned_m: Vec) -> Mat:
-        """Return the covariance (3, 3) of BR in ``mrf``: position, and the tanker's attitude on the box's lever."""
-        J = np.zeros((3, 9))
-        J[:, :3], J[:, 6:] = R_mrf_ned, R_mrf_ned @ skew(box_ned_m)
+    def _cov(self, fused: Relative, R_mrf_ned: Mat, box_ned_m: Vec, receptacle_ned_m: Vec) -> Mat:
+        """Return the covariance (3, 3) of BR in ``mrf``: position, and each aircraft's attitude on its own lever.
+
+        The noise of the receiver's INS turns both levers, as rigidly as what the tanker's attitude is told against.
+        """
+        J = np.zeros((3, 12))
+        J[:, :3], J[:, 6:9] = R_mrf_ned, R_mrf_ned @ skew(box_ned_m)
+        J[:, 9:] = R_mrf_ned @ skew(box_ned_m - receptacle_ned_m)
         return J @ fused.cov @ J.T
 
     def _box(self, t_ns: int) -> BoxMotion:

@@ -30,7 +30,8 @@ OMEGA = np.array([0.01, -0.02, 0.03])
 def geometry(travel_m, c, travel_sigma_m=1e-6):
     R_ned_cam = R_OWN @ T_FRD_CAM.R
     table = np.vstack([R_ned_cam.T, R_TANKER, T_FRD_CAM.R.T @ T_FRD_CAM.t, travel_m, OMEGA])
-    return Geometry(table, np.array([c.attitude_sigma_rad, travel_sigma_m]), R_ned_cam, R_OWN @ T_FRD_CAM.t, travel_m)
+    noise = np.vstack([np.eye(3) * s**2 for s in (c.attitude_sigma_rad, c.attitude_sigma_rad, travel_sigma_m)])
+    return Geometry(table, noise, R_ned_cam, R_OWN @ T_FRD_CAM.t, travel_m, V_TANKER)
 
 
 def on_plane(r_m, theta, boresight, lag_s=0.0, own=(0.0, 0.0, 0.0), tanker=(0.0, 0.0, 0.0)):
@@ -72,13 +73,21 @@ def draw(seed, c=None, *, start_m=(-40.0, -10.0, 20.0), length_s=8.0, frames_fro
         told = np.array([0.4, 0.25, -0.25])
         travel = travel + dt * told
         x = x.copy()
-        x[0:3] += dt * x[3:6] + scale * rng.standard_normal(3) * np.sqrt(2 * c.velocity_sigma_m_s**2
-                                                                         * c.velocity_hold_s * dt)
+        x[0:3] += dt * x[3:6] + scale * np.sqrt(dt) * travel_noise(rng, c)
         x[3:6] += scale * rng.standard_normal(3) * c.velocity_walk * np.sqrt(dt)
         x[6:9] += scale * rng.standard_normal(3) * c.attitude_walk * np.sqrt(dt)
         fade = np.exp(-dt / c.gps_bias_s)
         x[9:12] = fade * x[9:12] + scale * rng.standard_normal(3) * c.gps_bias_sigma_m * np.sqrt(1 - fade**2)
     return out
+
+
+def travel_noise(rng, c):
+    """Return what the travels err by in one second (3,): across the path and along it."""
+    along = V_TANKER / np.linalg.norm(V_TANKER)
+    across, speed = np.sqrt(2 * c.velocity_hold_s) * np.array([c.velocity_sigma_m_s, c.speed_sigma_m_s])
+    noise = rng.standard_normal(3)
+    noise = across * noise + (speed - across) * along * (along @ noise)
+    return noise + c.position_walk * rng.standard_normal(3)
 
 
 def frame_of(rng, t_ns, x, travel, sigma, c, markers=9, scale=1.0):

@@ -180,7 +180,10 @@ def test_a_gap_of_vision_is_coasted_with_a_covariance_that_grows():
     f.go(2.0)
     after = f.filter.at(f.t_ns)
     assert np.linalg.norm(f.error_m()) < 0.1
-    assert after.cov[0, 0] > 2 * before.cov[0, 0]
+    assert after.cov[0, 0] > before.cov[0, 0]
+    c = FilterConfig()
+    walked_m2 = 2.0 * 2.0 * c.velocity_sigma_m_s**2 * c.velocity_hold_s  # two aircraft, two seconds
+    assert after.cov[1, 1] - before.cov[1, 1] > walked_m2, "across the path, where velocities are noisy"
     assert after.sight_ns == before.sight_ns
     assert after.estimate_ns >= f.t_ns - 50 * MS, "GPS carries it"
 
@@ -339,3 +342,32 @@ def test_what_no_filter_can_run_on_is_told_by_its_name(field, value):
     assert field in told[0]
 
 
+
+
+def test_what_was_told_of_an_instant_is_told_again_until_there_is_news():
+    f = Flight().go(1.0)
+    t_ns = f.t_ns + 15 * MS
+    first = f.aircraft.align(t_ns)
+    assert f.aircraft.align(t_ns) is first
+    f.own(positions=True)  # a duplicate: nothing new, and looked at again all the same
+    again = f.aircraft.align(t_ns)
+    assert (again.travel_difference_m == first.travel_difference_m).all()
+    f.t_ns += 10 * MS
+    f.own(positions=True)
+    assert (f.aircraft.align(t_ns).own.v_ned_m_s == first.own.v_ned_m_s).all(), "straight flight"
+    assert (f.aircraft.align(t_ns).own_attitude.R_ned_body != first.own_attitude.R_ned_body).any(), "news"
+
+
+def test_what_the_estimate_says_of_itself_grows_while_the_tanker_is_silent():
+    f = Flight().go(1.0).go(2.0, labels=range(9))
+    tanker_ns, sigmas = f.aircraft.tanker_ns, []
+    for late_ns in (50 * MS, 250 * MS, 450 * MS):
+        while f.t_ns < tanker_ns + late_ns:
+            f.t_ns += 10 * MS
+            f.own(positions=True)
+        at = f.filter.at(f.t_ns)
+        sigmas.append(np.sqrt(np.diag(at.cov)))
+    young, _, old = np.array(sigmas)
+    assert old[2] > np.hypot(young[2], 0.04), "0.6 m/s^2 for 0.45 s is 0.06 m"
+    assert old[5] > 3 * young[5]
+    assert (np.diff(np.array(sigmas)[:, :9], axis=0) > -1e-12).all()

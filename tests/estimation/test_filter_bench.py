@@ -6,7 +6,7 @@ from dataclasses import replace
 import filter_scene as fs
 import numpy as np
 import pytest
-from scipy.linalg import solve
+from scipy.linalg import block_diag, solve
 
 from companion.config import FilterConfig
 from companion.estimation.filter_history import FilterHistory
@@ -38,11 +38,13 @@ def with_numpy(x, P, m, dt):
     Q[range(SIZE), range(SIZE)] = [*[noise[0] * dt + noise[1] * dt**3 / 3] * 3, *[noise[1] * dt] * 3,
                                    *[noise[2] * dt] * 3, *[noise[3] ** 2 * (1 - fade**2)] * 3, *[noise[5] * dt] * 3,
                                    noise[6] * dt]
+    along = fs.V_TANKER / np.linalg.norm(fs.V_TANKER)
+    Q[0:3, 0:3] += (noise[7] - noise[0]) * dt * np.outer(along, along)
     Q[0:3, 3:6] = Q[3:6, 0:3] = 0.5 * noise[1] * dt**2 * np.eye(3)
     x, P = F @ x, F @ P @ F.T + Q
     wide, big = np.zeros(WIDE), np.zeros((WIDE, WIDE))
     wide[:SIZE], big[:SIZE, :SIZE] = x, P
-    big[range(SIZE, WIDE), range(SIZE, WIDE)] = np.repeat(m.geometry.noise, [6, 3]) ** 2
+    big[SIZE:, SIZE:] = block_diag(*m.geometry.noise.reshape(3, 3, 3))
     pixels = m.labelled
     expected, H = np.empty((9, 2)), np.empty((18, WIDE))
     marker_rows(wide, m.geometry.table, pixels.markers, expected, H)
@@ -55,7 +57,7 @@ def with_numpy(x, P, m, dt):
 
 def with_kernels(x, P, m, dt):
     x, P, pixels = x.copy(), P.copy(), m.labelled
-    predict(x, P, dt, process_noise(C))
+    predict(x, P, dt, process_noise(C), fs.V_TANKER)
     alone, nis = np.empty(9), np.empty(9)
     take_pixels(x, P, m.geometry.table, pixels.markers, pixels.uv, pixels.sigma, m.geometry.noise, 23.0, alone, nis)
     return x, P

@@ -57,8 +57,8 @@ def test_nothing_good_is_refused_but_for_the_gate_s_share():
 
 def test_the_end_is_that_of_least_squares_over_all_measurements():
     """Without process noise but for what cannot be left out: one set of 16 unknowns, all measurements at once."""
-    c = FilterConfig(velocity_sigma_m_s=1e-6, velocity_walk=0.0, attitude_walk=0.0, gps_bias_s=1e9,
-                     boresight_walk=0.0, lag_walk=0.0, attitude_sigma_rad=1e-9)
+    c = FilterConfig(velocity_sigma_m_s=1e-6, speed_sigma_m_s=1e-6, position_walk=0.0, velocity_walk=0.0,
+                     attitude_walk=0.0, gps_bias_s=1e9, boresight_walk=0.0, lag_walk=0.0, attitude_sigma_rad=1e-9)
     drawn = fs.draw(5, c, length_s=4.0, frames_from_s=1.0)
     history = FilterHistory(Steps(c, fs.MARKERS), c.horizon_s)
     for m in drawn.measurements:
@@ -99,5 +99,5 @@ def whitened(residual, r, m):
     zero = np.zeros(3)
     J = np.array([(fs.on_plane(r + d, zero, zero) - fs.on_plane(r - d, zero, zero)).ravel() / (2 * step)
                   for d in step * np.eye(3)]).T
-    R = np.diag(np.repeat(m.labelled.sigma**2, 2)) + J @ J.T * m.geometry.noise[1] ** 2
+    R = np.diag(np.repeat(m.labelled.sigma**2, 2)) + J @ J.T * m.geometry.noise[6, 0]
     return np.linalg.solve(np.linalg.cholesky(R), residual.ravel())

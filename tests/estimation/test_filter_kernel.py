@@ -47,14 +47,16 @@ def test_prediction_is_the_matrix_exponential_of_its_process():
     noise, dt, P = process_noise(C), 0.37, spread(2)
     A, Q = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
     A[0:3, 3:6] = np.eye(3)
+    along = fs.V_TANKER / np.linalg.norm(fs.V_TANKER)
     A[9:12, 9:12] = -np.eye(3) / C.gps_bias_s
     Q[range(SIZE), range(SIZE)] = [*[noise[0]] * 3, *[noise[1]] * 3, *[noise[2]] * 3,
                                    *[2 * C.gps_bias_sigma_m**2 / C.gps_bias_s] * 3, *[noise[5]] * 3, noise[6]]
+    Q[0:3, 0:3] += (noise[7] - noise[0]) * np.outer(along, along)
     van_loan = expm(np.block([[-A, Q], [np.zeros((SIZE, SIZE)), A.T]]) * dt)  # Van Loan 1978
     F = van_loan[SIZE:, SIZE:].T
     x = np.arange(SIZE) * 0.1
     x_new, P_new = x.copy(), P.copy()
-    predict(x_new, P_new, dt, noise)
+    predict(x_new, P_new, dt, noise, fs.V_TANKER)
     assert np.allclose(x_new, F @ x, atol=1e-12)
     assert np.allclose(P_new, F @ P @ F.T + F @ van_loan[:SIZE, SIZE:], atol=1e-12)
 
@@ -64,9 +66,9 @@ def test_two_steps_are_one_long_one(a, b, seed):
     noise = process_noise(C)
     x = np.random.default_rng(seed).standard_normal(SIZE)
     once, twice = (x.copy(), spread(seed)), (x.copy(), spread(seed))
-    predict(*once, a + b, noise)
-    predict(*twice, a, noise)
-    predict(*twice, b, noise)
+    predict(*once, a + b, noise, fs.V_TANKER)
+    predict(*twice, a, noise, fs.V_TANKER)
+    predict(*twice, b, noise, fs.V_TANKER)
     assert np.allclose(once[0], twice[0], rtol=1e-9, atol=1e-9)
     assert np.allclose(once[1], twice[1], rtol=1e-9, atol=1e-9)
 
