@@ -292,7 +292,7 @@ class Integrity:
     ``protection_mrf_m`` (3,): BR is within so much of the estimate per axis of ``mrf``, but for the risk of the
     configuration; ``alert_mrf_m`` (3,): what it may be at most. ``may_dock``: it is inside, and no test fails.
     ``faults``: the tests that fail, by name, none when all is well: any of them takes ``may_dock`` away. ``notes``:
-    what is not as it should be and does not; but with ``unseen``, no sight to judge by, with ``stale <source>``, and with
+    what is not as it should be and does not; but with ``unseen``, no sight to judge by, ``stale <source>``, and
     ``unsettled``, neither of them long ago or a frame that the filter refused, ``may_dock`` is false.
     """
 
