@@ -214,21 +214,22 @@ def take_pixels(
         alone[k] = squared_size(uv[k, 0] - expected[k, 0], uv[k, 1] - expected[k, 1], uu, cc, vv)
     order = np.argsort(alone)
     distance_m = np.sqrt(np.sum((geometry[7] + x[:3]) ** 2))
-    total, settled, open_gate = 0.0, False, False
+    total, gated, settled, open_gate, closed_for_good = 0.0, False, False, False, False
     for _ in range(MOST_PASSES):
         x_wide[:] = x_prior
         P_wide[:, :] = P_prior
         total = one_pass(x_wide, P_wide, x_at, H, uv, expected, sigma, order, np.inf if open_gate else gate, nis)
-        settled = not moved(x_wide, x_at, distance_m)
-        if settled and not open_gate:
+        gated, settled = not open_gate, not moved(x_wide, x_at, distance_m)
+        if gated and settled:
             break
         # Far from where it is linear a good marker looks wrong: the point is found first, with all, then the gate is
-        # closed.
-        open_gate = not settled
+        # closed, and stays so: what only settles with markers that the gate refuses is not taken.
+        closed_for_good = closed_for_good or settled
+        open_gate = not closed_for_good
         x_at[:STATES] = x_wide[:STATES]
         if not marker_rows(x_at, geometry, markers, expected, H):
             return UNUSABLE, np.inf
-    if not settled or open_gate:
+    if not (gated and settled):
         return UNUSABLE, np.inf
     taken = 0
     for k in range(n):

@@ -150,3 +150,23 @@ def test_a_marker_behind_the_camera_makes_a_frame_unusable():
     x = np.zeros(SIZE)
     x[0] = 60.0
     assert taken(np.zeros((9, 2)), x)[0] == UNUSABLE
+
+
+@pytest.mark.parametrize(("sigma_m", "angle_rad"), [(0.1, 1e-4), (0.1, 5e-4), (0.3, 1e-3), (0.5, 1e-3)])
+def test_a_wrong_marker_that_keeps_the_point_from_settling_is_never_taken_with_the_gate_open(sigma_m, angle_rad):
+    """20 px off, far from where it is linear: left out, or nothing is taken; the estimate errs by what it says."""
+    sigma = np.repeat([sigma_m, 0.01, angle_rad, 1.0, angle_rad, 1e-3], [3, 3, 3, 3, 3, 1])
+    left_out = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        truth, wrong, angle = sigma_m * rng.standard_normal(3), rng.integers(9), rng.uniform(0.0, 2.0 * np.pi)
+        uv = fs.on_plane(PLACE + truth, np.zeros(3), np.zeros(3)) + 1e-4 * rng.standard_normal((9, 2))
+        uv[wrong] += 20.0 / fs.FOCAL_PX * np.array([np.cos(angle), np.sin(angle)])
+        status, _, nis, x, P = taken(uv, P=np.diag(sigma**2))
+        if status != ALL_TAKEN:
+            continue
+        error = x[:3] - truth
+        assert nis[wrong] < 0.0
+        assert error @ np.linalg.solve(P[:3, :3], error) < 30.0, "1e-6 of chi2 of three"
+        left_out += 1
+    assert left_out >= 20
