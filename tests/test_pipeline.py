@@ -48,15 +48,17 @@ def shipped():
 
 
 def picture(t_ns, sequence, place=PLACE, seed=None):
-    """Return what the camera sees: 2x2 red dots where the markers are, in noise of its own."""
+    """Return what the camera sees: red spots of a pixel's sigma where the markers are, in noise of its own."""
     setup = shipped()
     camera = setup.camera
     T_cam_tanker = (SE3(R_OWN, place) @ T_frd_cam(camera)).inverse() @ SE3(R_TANKER, np.zeros(3))
     noise = np.random.default_rng(sequence if seed is None else seed)
     image = noise.integers(0, 8, (camera.height_px, camera.width_px, 3), dtype=np.uint8)
     for u, v in project(camera, T_cam_tanker, np.array([m.p_tanker_m for m in setup.tanker.markers])):
-        if 1 <= u < camera.width_px - 2 and 1 <= v < camera.height_px - 2:
-            image[int(v) : int(v) + 2, int(u) : int(u) + 2, 0] = 255
+        if 4 <= u < camera.width_px - 4 and 4 <= v < camera.height_px - 4:
+            rows, columns = np.arange(int(v) - 3, int(v) + 5), np.arange(int(u) - 3, int(u) + 5)
+            spot = 247.0 * np.exp(-0.5 * ((rows[:, None] - v) ** 2 + (columns - u) ** 2))
+            image[np.ix_(rows, columns, [0])] += spot.astype(np.uint8)[..., None]
     return CameraFrame(t_ns, sequence, image)
 
 
@@ -132,9 +134,9 @@ def test_same_events_same_outputs():
 
 
 def test_nothing_known_nothing_said():
-    [health] = run([Tick(0), Tick(20 * MS)])
-    assert isinstance(health, Health)
-    assert not health.well
+    said = run([Tick(20 * k * MS) for k in range(250)])
+    assert {type(o) for o in said} == {Health}
+    assert not any(health.well for health in said)
     assert rejects(run([picture(0, 0)])) == {("vision", "no_prior"): 1}
 
 

@@ -290,7 +290,8 @@ def read_xml(path: Path) -> tuple[str, ET.Element]:
     except OSError as error:
         msg = f"cannot load aircraft '{path.stem}': {path}: cannot be read ({error.strerror})"
     except UnicodeDecodeError as error:
-        msg = f"cannot load aircraft '{path.stem}': {path}: not UTF-8 (byte {error.start} is 0x{error.object[error.start]:02x})"
+        byte = f"byte {error.start} is 0x{error.object[error.start]:02x}"
+        msg = f"cannot load aircraft '{path.stem}': {path}: not UTF-8 ({byte})"
     except ET.ParseError as error:
         msg = f"cannot load aircraft '{path.stem}': {path}: not an XML file ({error})"
     raise PlantError(msg)

@@ -134,11 +134,11 @@ def test_a_prior_is_tracked_while_vision_outweighs_gps_and_not_when_it_is_stale(
 
 
 def test_stale_or_missing_sources_give_no_estimate():
-    aircraft, b = new()
+    _, b = new()
     assert (b.prior(0), b.gps_prior(0), b.at(0)) == (None, None, None)
     empty = VisionOutput(0, 0, Detections(0, *[np.empty(0)] * 4), np.empty((0, 2)), np.full(9, -1), None, None)
     assert b.vision(empty) == []
-    aircraft, b = fed([-29.0, 0, 9])
+    _, b = fed([-29.0, 0, 9])
     assert b.prior(200 * MS) is not None
     assert b.prior(200 * MS + 301 * MS) is None
 
