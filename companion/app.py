@@ -24,8 +24,8 @@ from companion.io.datalink import SerialDatalink
 from companion.io.mavlink import MavlinkUdp, OnBytes
 from companion.io.recorder import RunRecorder, create_run_folder
 from companion.messages import Output, Phase, PhaseChange, Reject, VisionModeChange
-from companion.pipeline import Pipeline
 from companion.ports import Clock
+from companion.rehearsal import rehearse_flight
 from companion.runtime import Service, Watched, in_phase_s, run_live
 from companion.vision.rehearsal import rehearse
 
@@ -47,7 +47,7 @@ def warm_up(setup: Setup) -> None:
 
     Raises ConfigError for a configuration that no pipeline can be built of.
     """
-    Pipeline(setup)
+    rehearse_flight(setup)
     rehearse(setup.camera, setup.tanker, setup.config.vision)
 
 

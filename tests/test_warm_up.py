@@ -63,3 +63,34 @@ def test_nothing_is_compiled_in_flight(solver, method, detector):
     posed, refused, late = done.stdout.strip().split(" ", 2)
     assert min(int(posed), int(refused)) >= 10
     assert late == "{}"
+
+
+FLIGHT = """
+import sys
+import msgspec
+from numba.core.dispatcher import Dispatcher
+from companion.app import warm_up
+from companion.messages import RelativeState
+from sim_bridge.flight import Ending, LockstepCompanion, Unrecorded, run
+from sim_bridge.margins import base
+from sim_bridge.simulation import Simulation
+
+def compiled():
+    return {(name, key): len(kernel.signatures) for name, module in list(sys.modules.items())
+            if name.startswith("companion.") for key, kernel in vars(module).items() if isinstance(kernel, Dispatcher)}
+
+scenario, setup = base("docking", "attitude", 5.0)
+warm_up(setup)
+before, states = compiled(), []
+companion = LockstepCompanion(setup, Unrecorded(), states.append)
+run(Simulation(msgspec.structs.replace(scenario, seed=210), setup), companion, Ending(5.0, 6.0), lambda truth: None)
+print(sum(isinstance(o, RelativeState) for o in states), {k: v for k, v in compiled().items() if v != before.get(k, 0)})
+"""
+
+
+def test_nothing_is_compiled_from_telemetry_to_setpoint():
+    done = subprocess.run([sys.executable, "-c", FLIGHT], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    states, late = done.stdout.strip().split(" ", 1)
+    assert int(states) > 200
+    assert late == "{}"
