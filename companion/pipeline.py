@@ -152,7 +152,7 @@ class Pipeline:
             prior = None if known is None else known.T_cam_tanker
             tracked = known is not None and known.tracked and self._seen_real
         else:
-            prior, tracked = self.fusion.gps_prior(frame.t_ns), False
+            prior, tracked = self.aircraft.gps_prior(frame.t_ns), False
         if prior is None:
             return [Reject(frame.t_ns, "vision", "no_prior")]
         seen = self.vision.process(frame, prior, tracked=tracked)

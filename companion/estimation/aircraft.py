@@ -7,7 +7,7 @@ velocity are kept in histories and brought to the instant that is asked for. Wha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from companion.estimation.alignment import Attitude, AttitudeHistory, Motion, Mo
 from companion.estimation.plausibility import RECEIVER, TANKER, AttitudeWatch, MotionWatch, Repetition, Verdict
 from companion.geometry import SE3, Vec
 from companion.messages import NS, GpsStatus, OwnAttitude, OwnPosition, Reject, TankerState, TimeStep
+
+
+GPS_STATUS_S = 3.0
+"""What a GPS has said of itself holds for so long: it is told once a second or oftener."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +42,11 @@ class Aligned:
         """Return how far (3,) the receiver has moved against the tanker since the start, by velocity alone."""
         return self.own.travel_m - self.tanker.travel_m
 
+    @property
+    def carried(self) -> bool:
+        """Tell whether a position was not told but carried on by velocities: the two say nothing of GPS then."""
+        return self.own.carried or self.tanker.carried
+
 
 class Aircraft:
     """Histories of receiver and tanker. Events in; no clock."""
@@ -46,7 +55,6 @@ class Aircraft:
         self._config = config
         self.T_frd_cam = T_frd_cam
         self._T_cam_frd = T_frd_cam.inverse()
-        self.gps: GpsStatus | None = None
         self._before: tuple[int | None, int | None, int | None] = (None, None, None)
         self._begin()
 
@@ -57,13 +65,11 @@ class Aircraft:
 
     def _begin(self) -> None:
         self._last: Aligned | None = None
+        self._gps: GpsStatus | None = None
         self.own_motion = MotionHistory()
         self.own_attitude = AttitudeHistory()
         self.tanker_motion = MotionHistory()
         self.tanker_attitude = AttitudeHistory()
-        self._watches()
-
-    def _watches(self) -> None:
         self._attitude_watch, self._tanker_attitude_watch = AttitudeWatch(RECEIVER), AttitudeWatch(TANKER)
         self._motion_watch, self._tanker_watch = MotionWatch(), MotionWatch()
         self._attitude_content, self._position_content, self._tanker_content = Repetition(), Repetition(), Repetition()
@@ -113,7 +119,12 @@ class Aircraft:
 
     def gps_event(self, m: GpsStatus) -> None:
         """Take what the receiver's GPS says of itself."""
-        self.gps = m
+        self._gps = m
+
+    def without_fix(self, t_ns: int) -> bool:
+        """Tell whether the receiver's GPS has said lately that it has no fix."""
+        status = self._gps
+        return status is not None and not status.has_fix and (t_ns - status.t_ns) * NS <= GPS_STATUS_S
 
     def time_step_event(self, m: TimeStep) -> None:
         """A clock has stepped: move what was stamped before, or forget it where it belongs to no time any more."""
@@ -121,9 +132,14 @@ class Aircraft:
             self.restart()
             return
         self._last = None
-        for history in (self.own_motion, self.own_attitude, self.tanker_motion, self.tanker_attitude):
-            history.shift(m.step_ns)
-        self._watches()
+        for moved in (
+            self.own_motion, self.own_attitude, self.tanker_motion, self.tanker_attitude,
+            self._attitude_watch, self._tanker_attitude_watch, self._motion_watch, self._tanker_watch,
+            self._attitude_content, self._position_content, self._tanker_content,
+        ):
+            moved.shift(m.step_ns)
+        if self._gps is not None:
+            self._gps = replace(self._gps, t_ns=self._gps.t_ns + m.step_ns)
 
     @property
     def attitude_ns(self) -> int | None:
@@ -147,6 +163,10 @@ class Aircraft:
         """Return the oldest of the newest samples: what an estimate rests on at best; 0 when a source has none."""
         return min(self.position_ns or 0, self.attitude_ns or 0, self.tanker_ns or 0)
 
+    def oldest_fix_ns(self) -> int:
+        """Return the same for an estimate that rests on positions: those that were told, not carried."""
+        return min(self.oldest_ns(), self.own_motion.fixed_ns or 0, self.tanker_motion.fixed_ns or 0)
+
     def align(self, t_ns: int) -> Aligned | None:
         """Return both aircraft at one instant, or None when a source has nothing, or only stale samples, for it.
 
@@ -164,6 +184,11 @@ class Aircraft:
         self._last = Aligned(t_ns, own, own_attitude, tanker, tanker_attitude)
         return self._last
 
+    def gps_prior(self, t_ns: int) -> SE3 | None:
+        """Return ``T_cam_tanker`` at an exposure by GPS and INU alone (simulated vision, thesis 4.2.5)."""
+        a = self.align(t_ns)
+        return None if a is None else self.T_cam_tanker(a, a.p_ned_gps_m)
+
     def T_cam_tanker(self, a: Aligned, p_ned_tanker_frd_m: Vec) -> SE3:
         """Return the thesis' ^C T_T (Fig. 3.6) from INU angles and the relative position of the centres of mass."""
         T_ned_frd = SE3(a.own_attitude.R_ned_body, p_ned_tanker_frd_m)
@@ -178,4 +203,4 @@ def _keep(history: MotionHistory, verdict: Verdict, m: OwnPosition | TankerState
     elif verdict.carried:
         expected = history.at(m.t_ns)
         if expected is not None:
-            history.add(m.t_ns, expected.p_ned_m, m.v_ned_m_s)
+            history.add(m.t_ns, expected.p_ned_m, m.v_ned_m_s, carried=True)

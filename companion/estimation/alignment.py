@@ -32,6 +32,8 @@ which is 0.01 m/s after 70 ms; a turn at 15 degrees of bank has 2.6 m/s²."""
 ACCELERATED_S = 0.3
 """For longer past the newest sample the velocity is not let change: nothing says that a manoeuvre lasts."""
 MAX_ACCELERATION_M_S2 = 30.0
+GAP_S = 0.1
+"""Samples further apart than this leave something untold between them: several are missing."""
 
 
 class Attitude(msgspec.Struct, frozen=True, eq=False):
@@ -42,11 +44,17 @@ class Attitude(msgspec.Struct, frozen=True, eq=False):
 
 
 class Motion(msgspec.Struct, frozen=True, eq=False):
-    """Position and velocity (3,) in ``ned`` at one instant; ``travel_m`` is the running integral of velocity."""
+    """Position and velocity (3,) in ``ned`` at one instant; ``travel_m`` is the running integral of velocity.
+
+    ``carried``: the position was not told, but carried on by velocities. ``gaps``: the sums of T^2 and of T^4 over all
+    gaps T in s (longer than ``GAP_S``) that the travel goes across.
+    """
 
     p_ned_m: Vec
     v_ned_m_s: Vec
     travel_m: Vec
+    carried: bool = False
+    gaps: tuple[float, float] = (0.0, 0.0)
 
 
 class Bracket(msgspec.Struct, Generic[S], frozen=True, eq=False):
@@ -141,8 +149,20 @@ class MotionHistory(History[Motion]):
     def __init__(self, span_s: float = SPAN_S) -> None:
         super().__init__(span_s)
         self._acceleration: Vec | None = None
+        self._lead_m = np.zeros(3)  # travels are kept without it: what late samples have moved all before them by
+        self._fixed_ns: int | None = None
 
-    def add(self, t_ns: int, p_ned_m: Vec, v_ned_m_s: Vec) -> str:
+    @property
+    def fixed_ns(self) -> int | None:
+        """Return the stamp of the newest position that was told, not carried."""
+        return self._fixed_ns
+
+    def shift(self, step_ns: int) -> None:
+        """Move all samples in time together; distances flown between them stay."""
+        super().shift(step_ns)
+        self._fixed_ns = None if self._fixed_ns is None else self._fixed_ns + step_ns
+
+    def add(self, t_ns: int, p_ned_m: Vec, v_ned_m_s: Vec, *, carried: bool = False) -> str:
         """Take a sample; return why not, or nothing."""
         fault = self.fault(t_ns)
         if fault:
@@ -150,26 +170,33 @@ class MotionHistory(History[Motion]):
         self._acceleration = None
         newest_ns = self.newest_ns
         if newest_ns is None or t_ns > newest_ns:
-            travel_m = np.zeros(3)
+            travel_m, gaps = np.zeros(3), (0.0, 0.0)
             if newest_ns is not None:
                 last = self._samples[-1]
                 travel_m = last.travel_m + trapezium(t_ns - newest_ns, last.v_ned_m_s, v_ned_m_s)
-            self.insert(t_ns, Motion(p_ned_m, v_ned_m_s, travel_m))
+                gaps = with_gap(last.gaps, (t_ns - newest_ns) * NS)
+            self.insert(t_ns, Motion(p_ned_m, v_ned_m_s, travel_m, carried, gaps))
         else:
             self._put_between(t_ns, p_ned_m, v_ned_m_s)
+        if not carried:
+            self._fixed_ns = t_ns if self._fixed_ns is None else max(t_ns, self._fixed_ns)
         return ""
 
     def _put_between(self, t_ns: int, p_ned_m: Vec, v_ned_m_s: Vec) -> None:
-        """Insert a late sample; what it changes of the distance flown moves the travel of the samples before it."""
+        """Insert a late sample; what it changes of the distance flown moves the travel of the samples before it.
+
+        Few come after it: those are moved the other way, and all together by ``_lead_m``.
+        """
         k = self.insert(t_ns, Motion(p_ned_m, v_ned_m_s, np.zeros(3)))
         t, samples = self._t_ns, self._samples
         after = samples[k + 1]
         travel_m = after.travel_m - trapezium(t[k + 1] - t_ns, v_ned_m_s, after.v_ned_m_s)
-        samples[k] = Motion(p_ned_m, v_ned_m_s, travel_m)
+        samples[k] = Motion(p_ned_m, v_ned_m_s, travel_m, False, after.gaps)
         if k > 0:
             before = samples[k - 1]
             moved_m = travel_m - trapezium(t_ns - t[k - 1], before.v_ned_m_s, v_ned_m_s) - before.travel_m
-            samples[:k] = [Motion(s.p_ned_m, s.v_ned_m_s, s.travel_m + moved_m) for s in samples[:k]]
+            samples[k:] = [Motion(s.p_ned_m, s.v_ned_m_s, s.travel_m - moved_m, s.carried, s.gaps) for s in samples[k:]]
+            self._lead_m = self._lead_m + moved_m
 
     @property
     def acceleration_m_s2(self) -> Vec:
@@ -198,9 +225,9 @@ class MotionHistory(History[Motion]):
         at = self.bracket(t_ns)
         if at is None:
             return None
-        if at.dt_s == 0.0:
-            return at.before
         a, b = at.before, at.after
+        if at.dt_s == 0.0:
+            return Motion(a.p_ned_m, a.v_ned_m_s, a.travel_m + self._lead_m, a.carried, a.gaps)
         if b is not None:
             v = (1.0 - at.s) * a.v_ned_m_s + at.s * b.v_ned_m_s
             step = 0.5 * at.dt_s * (a.v_ned_m_s + v)
@@ -208,9 +235,17 @@ class MotionHistory(History[Motion]):
             pushed_s = min(at.dt_s, ACCELERATED_S)
             v = a.v_ned_m_s + pushed_s * self.acceleration_m_s2
             step = at.dt_s * a.v_ned_m_s + (at.dt_s - 0.5 * pushed_s) * (v - a.v_ned_m_s)
-        return Motion(a.p_ned_m + step, v, a.travel_m + step)
+        gaps = a.gaps if b is None else b.gaps
+        return Motion(a.p_ned_m + step, v, a.travel_m + step + self._lead_m, a.carried, gaps)
 
 
 def trapezium(dt_ns: int, v0_m_s: Vec, v1_m_s: Vec) -> Vec:
     """Return the distance (3,) flown in ``dt_ns`` while the velocity goes from the one to the other."""
     return 0.5 * NS * dt_ns * (v0_m_s + v1_m_s)
+
+
+def with_gap(gaps: tuple[float, float], gap_s: float) -> tuple[float, float]:
+    """Return ``Motion.gaps`` with the time from one sample to the next."""
+    if gap_s <= GAP_S:
+        return gaps
+    return gaps[0] + gap_s**2, gaps[1] + gap_s**4

@@ -85,11 +85,6 @@ class Blend:
         tracked = anchor is not None and anchor.vision_weight >= 0.5  # more vision than GPS
         return Prior(self._aircraft.T_cam_tanker(a, p_ned), tracked)
 
-    def gps_prior(self, t_ns: int) -> SE3 | None:
-        """Return ``T_cam_tanker`` at an exposure by GPS and INU alone."""
-        a = self._aircraft.align(t_ns)
-        return None if a is None else self._aircraft.T_cam_tanker(a, a.p_ned_gps_m)
-
     def vision(self, seen: VisionOutput) -> list[Output]:
         """Blend at the instant of an exposure (eq. 3.9); nothing when the aircraft cannot be aligned at it.
 
@@ -121,7 +116,8 @@ class Blend:
         if a is None:
             return None
         p_ned, anchor = self.relative_position(a)
-        oldest_ns = self._aircraft.oldest_ns()
+        aircraft = self._aircraft
+        oldest_ns = aircraft.oldest_fix_ns() if anchor is None else min(aircraft.oldest_ns(), anchor.t_ns)
         weight = 0.0 if anchor is None else anchor.vision_weight
         return Relative(
             aligned=a,
@@ -130,7 +126,7 @@ class Blend:
             R_correction=np.eye(3),
             T_frd_cam=self._aircraft.T_frd_cam,
             cov=weight * BY_VISION + (1.0 - weight) * BY_GPS,
-            estimate_ns=oldest_ns if anchor is None else min(oldest_ns, anchor.t_ns),
+            estimate_ns=oldest_ns,
             sight_ns=self.sight_ns,
             vision_weight=weight,
             markers_used=0 if anchor is None else anchor.markers_used,

@@ -7,7 +7,7 @@ Rules
 * Measurements are the difference of the two GPS positions (one in ``GPS_PERIOD_S``: positions that come oftener are
   dead reckoned from the same fix), and labelled markers, one by one, as pixels. Each is taken at its instant, in the
   order of instants (``filter_history``), if it fits (``filter_steps``).
-* A receiver's GPS without a fix is not used.
+* A receiver's GPS without a fix is not used, nor are positions that were refused and carried on by velocities.
 * When the labeling has no labels but the filter knows where the markers are, it tells them apart itself
   (``filter_association``).
 * The estimate is as old as the newest that it rests on: positions while GPS is taken, else the last sight.
@@ -77,10 +77,10 @@ class RelativeFilter:
         t_ns, aircraft = self._aircraft.tanker_ns, self._aircraft
         if t_ns is None or (self._gps_taken_ns is not None and (t_ns - self._gps_taken_ns) * NS < GPS_PERIOD_S):
             return []
-        if aircraft.gps is not None and not aircraft.gps.has_fix:
+        if aircraft.without_fix(t_ns):
             return []
         a = aircraft.align(t_ns)
-        if a is None:
+        if a is None or a.carried:
             return []
         self._gps_taken_ns = t_ns
         return self._take(gps_difference(a))
@@ -121,11 +121,6 @@ class RelativeFilter:
         T_frd_cam = self._T_frd_cam(x)
         T_ned_cam = SE3(a.own_attitude.R_ned_body, a.travel_difference_m + x[P]) @ T_frd_cam
         return T_ned_cam.inverse() @ SE3(exp_so3(x[THETA]) @ a.tanker_attitude.R_ned_body, np.zeros(3))
-
-    def gps_prior(self, t_ns: int) -> SE3 | None:
-        """Return ``T_cam_tanker`` at an exposure by GPS and INU alone."""
-        a = self._aircraft.align(t_ns)
-        return None if a is None else self._aircraft.T_cam_tanker(a, a.p_ned_gps_m)
 
     def prior(self, t_ns: int) -> Prior | None:
         """Return what is known of the tanker's pose at an exposure; before the start what GPS says."""

@@ -58,9 +58,6 @@ class Fusion(Protocol):
     def prior(self, t_ns: int) -> Prior | None:
         """Return what is known of the tanker's pose at an exposure; None when the aircraft cannot be aligned."""
 
-    def gps_prior(self, t_ns: int) -> SE3 | None:
-        """Return ``T_cam_tanker`` at an exposure by GPS and INU alone (simulated vision, thesis 4.2.5)."""
-
     def vision(self, seen: VisionOutput) -> list[Output]:
         """Take what was seen in one frame, with or without a pose; a FusedPose is among what is returned if it can."""
 

@@ -68,8 +68,10 @@ from companion.messages import (
 UNKNOWN_M = 1e3
 SOURCES = 2
 """Hypotheses beside those of the markers."""
-LEFT_M = 1.0
-"""Beyond the limit window by so much, the receiver is on its way out and need not be within it."""
+ENTERED_M = 0.5
+"""Within the limit window by so much, protection included, the receiver has entered it: less is the edge's flicker."""
+LEFT_M, LEFT_S = 1.0, 3.0
+"""Beyond the limit window by so much, or for so long, the receiver has left it and need not be within it."""
 COAST_M, COAST_M_S = 0.03, 0.05
 """What the filter still knows of the place with few markers: to COAST_M, and so much worse for each second since many
 were seen; INS velocities are that good, and the marker that is wrong had no part in them."""
@@ -106,6 +108,7 @@ class IntegrityMonitor:
             test.restart()
         self._seen: VisionOutput | None = None
         self._filtered = self._entered = False
+        self._inside_ns = 0
         self._hypotheses: Separations | None = None
         self._many_ns: int | None = None
         self._misfits = RunningMean(1, RESIDUAL_S)
@@ -170,18 +173,19 @@ class IntegrityMonitor:
             protection_m = self._protection(state, sources, R_mrf_ned, R_mrf_ned @ R_ned_cam)
         br_m = np.abs(state.p_mrf_br_m)
         alert_m = self._desired_m + self._config.alert_growth * math.sqrt(br_m @ br_m)
-        within = bool((protection_m <= alert_m).all()) and self._stays(br_m, protection_m)
+        within = bool((protection_m <= alert_m).all()) and self._stays(state.t_ns, br_m, protection_m)
         may_dock = within and not (doubts or faults)
         return Integrity(state.t_ns, protection_m, alert_m, may_dock, faults, notes + more_notes + doubts)
 
-    def _stays(self, br_m: Vec, protection_m: Vec) -> bool:
+    def _stays(self, t_ns: int, br_m: Vec, protection_m: Vec) -> bool:
         """Tell whether a receiver that has been surely within the limit window still is."""
-        inside = bool((br_m + protection_m <= self._limit_m).all())
-        if inside:
-            self._entered = True
-        elif (br_m > self._limit_m + LEFT_M).any():
+        far_m = float((br_m + protection_m - self._limit_m).max())
+        if far_m <= 0.0:
+            self._inside_ns = t_ns
+            self._entered = self._entered or far_m <= -ENTERED_M
+        elif (br_m > self._limit_m + LEFT_M).any() or (t_ns - self._inside_ns) * NS > LEFT_S:
             self._entered = False
-        return inside or not self._entered
+        return far_m <= 0.0 or not self._entered
 
     def _protection(self, state: RelativeState, sources: Sources, R_mrf_ned: Mat, R_mrf_cam: Mat) -> Vec:
         """Return the protection levels (3,): without a fault, and the largest of all hypotheses."""

@@ -105,6 +105,10 @@ class Repetition:
             self._content, self._since_ns = told, t_ns
         return t_ns - self._since_ns >= FROZEN_NS
 
+    def shift(self, step_ns: int) -> None:
+        """Move what was noted in time."""
+        self._t_ns, self._since_ns = self._t_ns + step_ns, self._since_ns + step_ns
+
 
 class Persistence:
     """How long something that contradicts has agreed with itself: with ``value`` (n,) as it was at first."""
@@ -131,6 +135,10 @@ class Persistence:
         self._value = None
         return True
 
+    def shift(self, step_ns: int) -> None:
+        """Move what was noted in time."""
+        self._t_ns, self._since_ns = self._t_ns + step_ns, self._since_ns + step_ns
+
 
 class Silence:
     """How long nothing has come at all, good or bad. ``age_s``: since the sample before the one that was taken last."""
@@ -147,6 +155,10 @@ class Silence:
         self.age_s = 0.0 if last_ns is None else abs(t_ns - last_ns) * NS
         return last_ns is None or (t_ns - last_ns) * NS > self._gap_s
 
+    def shift(self, step_ns: int) -> None:
+        """Move what was noted in time."""
+        self._newest_ns = None if self._newest_ns is None else self._newest_ns + step_ns
+
 
 class MotionWatch:
     """Judges positions and velocities of one aircraft against its history."""
@@ -156,6 +168,11 @@ class MotionWatch:
         self._offset_m: Vec | None = None  # position less travel, smoothed: constant while the two agree
         self._position = Persistence(POSITION_M)
         self._velocity = Persistence(SAME_VELOCITY_M_S)
+
+    def shift(self, step_ns: int) -> None:
+        """Move what was noted in time, as its history is: the next sample is judged like any other."""
+        for noted in (self._silence, self._position, self._velocity):
+            noted.shift(step_ns)
 
     def judge(self, t_ns: int, p_ned_m: Vec, v_ned_m_s: Vec, history: MotionHistory) -> Verdict:
         """Return what is thought of a sample whose stamp has no fault."""
@@ -194,6 +211,11 @@ class AttitudeWatch:
         self._silence = Silence(ATTITUDE_GAP_S)
         self._turned = Persistence(2.0 * math.sin(0.5 * SAME_ANGLE_RAD) * math.sqrt(2.0))
         self._rates = Persistence(SAME_RATE_RAD_S)
+
+    def shift(self, step_ns: int) -> None:
+        """Move what was noted in time, as its history is: the next sample is judged like any other."""
+        for noted in (self._silence, self._turned, self._rates):
+            noted.shift(step_ns)
 
     def judge(self, t_ns: int, R_ned_body: Mat, omega_body_rad_s: Vec, history: AttitudeHistory) -> Verdict:
         """Return what is thought of a sample whose stamp has no fault."""

@@ -129,7 +129,7 @@ def record(mode: Mode, seed: int, duration_s: float = DURATION_S) -> Recording:
     warm_up(setup)
     simulation, notes = Simulation(scenario, setup), Notes()
     companion = LockstepCompanion(setup, Unrecorded(), notes.output)
-    fusion, step = companion.service.pipeline.fusion, 0
+    pipeline, step = companion.service.pipeline, 0
     while not notes.over(simulation.truth.t_ns, duration_s):
         if step % TRUTH_EVERY == 0:
             notes.truth[stamp_ms(simulation.truth.t_ns)] = simulation.truth
@@ -140,8 +140,9 @@ def record(mode: Mode, seed: int, duration_s: float = DURATION_S) -> Recording:
             raise ConfigError(msg) from None
         if arrivals.frames:  # asked before the frame changes the fusion: what the chain is about to be given
             exposed_ns = arrivals.frames[0].t_ns
-            known = fusion.prior(exposed_ns)
-            prior = fusion.gps_prior(exposed_ns) if mode == "sv" else None if known is None else known.T_cam_tanker
+            known = pipeline.fusion.prior(exposed_ns)
+            by_gps = pipeline.aircraft.gps_prior(exposed_ns)
+            prior = by_gps if mode == "sv" else None if known is None else known.T_cam_tanker
             if prior is not None:
                 notes.prior[stamp_ms(exposed_ns)] = prior
         companion.hear(simulation.feed_mavlink(companion.arrive(arrivals), arrivals.t_ns))

@@ -74,9 +74,9 @@ def test_weight_is_a_clipped_line(d):
 
 
 def test_gps_pose_is_the_true_pose_at_an_instant_between_samples():
-    _, b = fed([-45.0, -15.0, 25.0])
+    aircraft, b = fed([-45.0, -15.0, 25.0])
     t_ns = 153 * MS
-    T, truth = b.gps_prior(t_ns), true_pose(t_ns, [-45.0, -15.0, 25.0])
+    T, truth = aircraft.gps_prior(t_ns), true_pose(t_ns, [-45.0, -15.0, 25.0])
     assert np.allclose(T.t, truth.t, atol=1e-6)
     assert np.allclose(T.R, truth.R, atol=1e-9)
     assert np.allclose(b.prior(t_ns).T_cam_tanker.t, T.t, atol=1e-12)
@@ -134,8 +134,8 @@ def test_a_prior_is_tracked_while_vision_outweighs_gps_and_not_when_it_is_stale(
 
 
 def test_stale_or_missing_sources_give_no_estimate():
-    _, b = new()
-    assert (b.prior(0), b.gps_prior(0), b.at(0)) == (None, None, None)
+    aircraft, b = new()
+    assert (b.prior(0), aircraft.gps_prior(0), b.at(0)) == (None, None, None)
     empty = VisionOutput(0, 0, Detections(0, *[np.empty(0)] * 4), np.empty((0, 2)), np.full(9, -1), None, None)
     assert b.vision(empty) == []
     _, b = fed([-29.0, 0, 9])
@@ -175,9 +175,9 @@ def test_an_estimate_says_how_good_its_sources_are():
 
 def test_a_restart_forgets_the_last_blend():
     relative_m, bias = [-29.0, 0.0, 9.0], np.array([0.0, 0.0, 2.0])
-    _, b = fed(relative_m, gps_bias=bias)
+    aircraft, b = fed(relative_m, gps_bias=bias)
     blended(b, 180 * MS, true_pose(180 * MS, relative_m))
     b.restart()
     assert b.sight_ns is None
     assert b.at(200 * MS).vision_weight == 0.0
-    assert np.allclose(b.prior(200 * MS).T_cam_tanker.t, b.gps_prior(200 * MS).t)
+    assert np.allclose(b.prior(200 * MS).T_cam_tanker.t, aircraft.gps_prior(200 * MS).t)

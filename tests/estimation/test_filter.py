@@ -37,7 +37,9 @@ class Flight:
         self.filter = RelativeFilter(fusion, self.aircraft, fs.CAMERA, fs.MARKERS, self.plane)
         self.t_ns = 0
         self.boresight = np.zeros(3)
+        self.off_own = self.off_tanker = self.nothing
         self.updates = []
+        self.fix: bool | None = None  # what the receiver's GPS says of itself, five times a second
 
     @staticmethod
     def plane(uv_px):
@@ -51,10 +53,12 @@ class Flight:
         end_ns = self.t_ns + round(seconds * S)
         while self.t_ns < end_ns:
             self.t_ns += 10 * MS
+            if self.fix is not None and self.t_ns % (200 * MS) == 0:
+                self.aircraft.gps_event(GpsStatus(self.t_ns, has_fix=self.fix))
             if self.t_ns % (20 * MS) == 0:
                 self.own(positions)
             if self.t_ns % (40 * MS) == 0:
-                fix = self.p_tanker(self.t_ns) + self.gps_noise()
+                fix = self.p_tanker(self.t_ns) + self.gps_noise() + self.off_tanker()
                 self.aircraft.tanker_event(
                     TankerState(self.t_ns, fix, fs.V_TANKER, self.told(fs.R_TANKER), self.rates())
                 )
@@ -67,7 +71,7 @@ class Flight:
     def own(self, positions):
         self.aircraft.own_attitude_event(OwnAttitude(self.t_ns, self.told(fs.R_OWN), self.rates()))
         if positions:
-            fix = self.p_tanker(self.t_ns) + self.r_m + self.bias_m + self.gps_noise()
+            fix = self.p_tanker(self.t_ns) + self.r_m + self.bias_m + self.gps_noise() + self.off_own()
             self.aircraft.own_position_event(OwnPosition(self.t_ns, fix, fs.V_TANKER))
             self.updates += self.filter.positions()
 
@@ -76,6 +80,10 @@ class Flight:
 
     def rates(self):
         return 1e-4 * self.rng.standard_normal(3)
+
+    @staticmethod
+    def nothing():
+        return np.zeros(3)
 
     def gps_noise(self):
         return 0.1 * self.rng.standard_normal(3)
@@ -161,6 +169,7 @@ def test_every_frame_gives_a_fused_pose_and_the_state_at_its_instant():
 
 def test_it_flies_without_gps_for_minutes():
     f = Flight().go(2.0).go(3.0, labels=range(9))
+    f.fix = False
     f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=False))
     f.bias_m = np.array([3.0, -2.0, 5.0])  # dead reckoning that has gone off, which must not count
     told = len(f.reasons("gps"))
@@ -168,7 +177,7 @@ def test_it_flies_without_gps_for_minutes():
     assert np.linalg.norm(f.error_m()) < 0.05
     assert len(f.reasons("gps")) == told
     assert f.filter.at(f.t_ns).estimate_ns >= f.t_ns - 50 * MS
-    f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=True))
+    f.fix = True
     f.go(3.0, labels=range(9))
     assert len(f.reasons("gps")) > told
     assert np.linalg.norm(f.error_m()) < 0.05
@@ -207,7 +216,7 @@ def test_any_number_of_labelled_markers_counts(count):
 
 def test_one_light_without_a_label_keeps_the_track():
     f = Flight().go(1.0).go(2.0, labels=range(9))
-    f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=False))
+    f.fix = False
     f.go(5.0, labels=lambda f: f.frame([2], labelled=False, pose=False))
     assert f.filter.sight_ns == f.t_ns
     assert f.filter.at(f.t_ns).markers_used == 1
@@ -371,3 +380,40 @@ def test_what_the_estimate_says_of_itself_grows_while_the_tanker_is_silent():
     assert old[2] > np.hypot(young[2], 0.04), "0.6 m/s^2 for 0.45 s is 0.06 m"
     assert old[5] > 3 * young[5]
     assert (np.diff(np.array(sigmas)[:, :9], axis=0) > -1e-12).all()
+
+
+def test_a_status_of_gps_holds_for_seconds_and_not_beyond_a_restart():
+    f = Flight().go(1.0)
+    f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=False))
+    told = len(f.reasons("gps"))
+    f.go(2.9)
+    assert len(f.reasons("gps")) == told
+    f.go(2.0)
+    assert len(f.reasons("gps")) > told + 10, "nothing has been told for long"
+    f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=False))
+    f.aircraft.restart()
+    f.filter.restart()
+    f.go(1.0)
+    assert f.filter.at(f.t_ns) is not None
+
+
+@pytest.mark.parametrize("whose", ["own", "tanker"])
+def test_positions_that_are_refused_and_carried_on_are_no_gps(whose):
+    """A receiver of GPS that tells another place each time: the estimate must not stay young on its velocities."""
+    f = Flight().go(2.0)
+
+    def garbage():
+        return 500.0 * f.rng.standard_normal(3)
+
+    f.off_own, f.off_tanker = (garbage, f.off_tanker) if whose == "own" else (f.off_own, garbage)
+    f.go(0.2)
+    told, gone_ns = len(f.reasons("gps")), f.t_ns
+    f.go(4.0)
+    assert len(f.reasons("gps")) == told
+    assert f.filter.at(f.t_ns) is not None, "velocities are still taken"
+    assert f.filter.at(f.t_ns).estimate_ns <= gone_ns
+    assert f.aircraft.oldest_fix_ns() <= gone_ns
+    f.off_own = f.off_tanker = f.nothing
+    f.go(1.5)
+    assert len(f.reasons("gps")) > told
+    assert f.filter.at(f.t_ns).estimate_ns >= f.t_ns - 50 * MS

@@ -278,6 +278,20 @@ def test_a_step_of_time_begins_anew_and_remembers_how_new_the_newest_was():
     assert f.aircraft.position_ns == -4 * S
 
 
+@pytest.mark.parametrize("kind", ["position", "attitude", "tanker"])
+def test_the_first_sample_after_a_continuous_step_is_judged_like_any_other(kind):
+    f, step_ns = Flown(), 3 * S
+    tell = getattr(f, kind)
+    f.until(tell, S)
+    f.aircraft.time_step_event(TimeStep(S, "mavlink", step_ns, continuous=True))
+    sample = f.sample
+    f.sample = lambda t_ns: sample(t_ns - step_ns)
+    wild = {"position": lambda p, v: (p, v + 20.0), "attitude": lambda R, w: (R @ exp_so3(np.full(3, 0.2)), w),
+            "tanker": lambda p, v, R, w: (p + 900.0, v, R, w)}[kind]
+    assert tell(S + step_ns, wild) in ("velocity_jump", "attitude_jump", "position_jump")
+    assert tell(S + step_ns + 20 * MS) == ""
+
+
 @given(st.lists(st.tuples(st.integers(0, 3), st.booleans()), min_size=1, max_size=30))
 def test_repetition_lasts_from_its_first_stamp(steps):
     repetition, t_ns, since_ns, last = Repetition(), 0, 0, None
