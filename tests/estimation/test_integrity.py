@@ -87,6 +87,23 @@ def test_once_surely_within_the_limit_window_the_receiver_must_stay_so():
     assert again(watcher, w, p_mrf_br_m=np.array([-2.08, 0.0, 0.0])).may_dock  # and on its way in again
 
 
+def test_on_the_edge_of_the_limit_window_nothing_flickers_and_who_waits_outside_may_come_again():
+    watcher, w = monitor(), world(br_m=np.array([-3.5, 0.0, 0.0]))
+    last(watcher, w)
+    _, state, _ = w.frame()
+    edge = [replace(state, p_mrf_br_m=np.array([x, 0.0, 0.0])) for x in (-2.0, -1.8, -2.0, -1.8, -2.05)]
+    assert all(watcher.at(s, w.sources()).may_dock for s in edge)
+    entered = replace(state, p_mrf_br_m=np.zeros(3))
+    assert watcher.at(entered, w.sources()).may_dock
+    assert not watcher.at(edge[-1], w.sources()).may_dock
+    for _ in range(70):  # 3.5 s
+        _, state, _ = w.frame()
+        last(watcher, w, 1)
+        outside = replace(state, p_mrf_br_m=np.array([-2.9, 0.0, 0.0]))
+        answer = watcher.at(outside, w.sources())
+    assert answer.may_dock
+
+
 def test_nothing_seen_is_no_fault_and_no_leave_to_dock():
     watcher, w = monitor(), world()
     _, state, _ = w.frame()
