@@ -17,7 +17,6 @@ from companion.estimation.plausibility import RECEIVER, TANKER, AttitudeWatch, M
 from companion.geometry import SE3, Vec
 from companion.messages import NS, GpsStatus, OwnAttitude, OwnPosition, Reject, TankerState, TimeStep
 
-
 GPS_STATUS_S = 3.0
 """What a GPS has said of itself holds for so long: it is told once a second or oftener."""
 

@@ -5,9 +5,10 @@ Rules
 * A measurement is gated by its normalised innovation squared; markers one by one as well.
 * The start: three differences of positions that agree, or five poses. Never one alone.
 * A source that goes on being refused, and agrees with itself, is believed again (``refused_s``): GPS has another bias
-  then, and the position stays, unless nothing but GPS has ever said where that is; labelled lights, near the tanker,
-  put the position anew. Lights that are refused with no pose to judge them by say that the filter is too sure: its
-  covariance is widened. The reason says which.
+  then, and the position stays, unless it is hardly better known than GPS knows it (``WORTH_KEEPING``); labelled lights,
+  near the tanker, put the position anew. Lights that are refused with no pose to judge them by say that the filter is
+  too sure: its covariance is widened, the more the longer that lasts. The reason says which. What was refused longer
+  ago than twice ``refused_s`` is forgotten.
 """
 
 from __future__ import annotations
@@ -45,7 +46,18 @@ AGREED_GPS_M, AGREED_POSES_M = 1.0, 0.5
 """Spread per axis, root mean square, of offsets that agree: ten times the noise of GPS, poses at 40 m."""
 
 WIDER_M, WIDER_M_S, WIDER_RAD = 0.3, 0.1, 0.002
-"""What is added to the standard deviations of a filter that has been too sure."""
+"""What is added to the standard deviations of a filter that has been too sure for ``refused_s``."""
+WIDEST = 5.0
+"""How many times that is added at most."""
+
+MOST_OFFSETS = 40
+"""So many offsets, spread over twice ``refused_s``, stand for all, at whatever rate they come."""
+
+WORTH_KEEPING = 0.5
+"""A position whose standard deviation is this part of that of GPS' bias, or less, outlives a GPS that contradicts."""
+
+OFFSET_LASTS_S = 1.0
+"""For so long a difference of positions says what the bias of GPS is at a position that is put anew."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,10 +116,11 @@ class Steps:
         cov[P, P] = np.diag(self._initial[GPS_BIAS] ** 2 + gps) + np.outer(lag, m.v_ned_tanker_m_s)
         cov[P, GPS_BIAS] = cov[GPS_BIAS, P] = -np.diag(self._initial[GPS_BIAS] ** 2)
         cov[P, LAG] = cov[LAG, P] = -lag
-        return replace(e, x=x, cov=cov, ready=True, gps_ns=m.t_ns, gps_offsets=())
+        return replace(e, x=x, cov=cov, ready=True, gps_ns=m.t_ns, gps_offsets=(), pixel_offsets=(),
+                       pixels_refused_ns=None)
 
     def _pose_start(self, e: Estimate, m: PixelFrame) -> tuple[Estimate, Outcome]:
-        if m.offset is None:
+        if m.offset is None or m.imagined:
             return e, told(m, "pixels", 0.0, 0, "start")
         kept = (*e.pixel_offsets, m.offset)[-POSES_START:]
         e = replace(e, pixel_offsets=kept)
@@ -129,14 +142,27 @@ class Steps:
         nis = take_linear(e.x, e.cov, H, m.offset_m, 2.0 * self._c.gps_sigma_m**2, self._gps_gate)
         if nis <= self._gps_gate:
             return replace(e, gps_ns=m.t_ns, gps_offset=here, gps_offsets=()), told(m, "gps", nis, 3, taken=True)
-        kept = (*e.gps_offsets, here)[-20:]
+        kept = self._lately((*e.gps_offsets, here), m.t_ns)
         e = replace(e, gps_offset=here, gps_offsets=kept)
         if not self._insists(kept, AGREED_GPS_M):
             return e, told(m, "gps", nis, 3, "gate")
-        if e.sight_ns is None:  # nothing but GPS has said where the tanker is
+        if not self._worth_keeping(e):
             return self._at_gps(e, m, kept[-GPS_START:]), told(m, "gps", nis, 3, "position_anew")
         bias = middle(kept) - e.x[P] - m.v_ned_tanker_m_s * e.x[LAG]
         return replace(self._with_bias(e, bias), gps_ns=m.t_ns, gps_offsets=()), told(m, "gps", nis, 3, "bias_anew")
+
+    def _worth_keeping(self, e: Estimate) -> bool:
+        """Tell whether vision, and what has carried its position on, still knows more than GPS does."""
+        most_m = WORTH_KEEPING * np.sqrt(3.0) * self._c.gps_bias_sigma_m
+        return e.sight_ns is not None and bool(e.position_sigma_m <= most_m)
+
+    def _lately(self, offsets: tuple[Offset, ...], t_ns: int) -> tuple[Offset, ...]:
+        """Return the offsets of the last moments, thinned out; the newest is among them."""
+        longest_ns = 2.0 * self._c.refused_s / NS
+        kept = tuple(o for o in offsets if t_ns - o.t_ns <= longest_ns)
+        if len(kept) >= 3 and kept[-2].t_ns - kept[-3].t_ns < longest_ns / MOST_OFFSETS:
+            return (*kept[:-2], kept[-1])
+        return kept
 
     def _insists(self, kept: tuple[Offset, ...], spread_m: float) -> bool:
         long_enough = len(kept) >= FEWEST_TO_RETURN and (kept[-1].t_ns - kept[0].t_ns) * NS >= self._c.refused_s
@@ -187,17 +213,18 @@ class Steps:
         self, e: Estimate, m: PixelFrame, pixels: MarkerPixels, outcome: Outcome
     ) -> tuple[Estimate, Outcome]:
         since_ns = m.t_ns if e.pixels_refused_ns is None else e.pixels_refused_ns
-        kept = e.pixel_offsets if m.offset is None else (*e.pixel_offsets, m.offset)[-40:]
+        kept = self._lately(e.pixel_offsets if m.offset is None else (*e.pixel_offsets, m.offset), m.t_ns)
         e = replace(e, pixels_refused_ns=since_ns, pixel_offsets=kept)
         refused = outcome.updates[0]
-        if (m.t_ns - since_ns) * NS < self._c.refused_s:
+        times = (m.t_ns - since_ns) * NS / self._c.refused_s
+        if times < 1.0:
             return e, outcome
         near = m.range_m <= self._c.vision_leads_m
         if near and self._insists(kept, AGREED_POSES_M):
             after, again = self._pixels(self._at_pose(e, middle(kept)), m, pixels)
             reason = "position_anew"
         elif len(kept) == 0:
-            after, again = self._pixels(widened_estimate(e), m, pixels)
+            after, again = self._pixels(widened_estimate(e, min(times, WIDEST)), m, pixels)
             reason = "wider"
         else:
             return e, outcome
@@ -214,7 +241,9 @@ class Steps:
         for part in (P, V, THETA, BORESIGHT):
             forget(cov, part, self._initial[part])
         cov[P, P] = np.eye(3) * AGREED_POSES_M**2
-        bias = e.x[GPS_BIAS] - moved_m if e.gps_offset is None else e.gps_offset.offset_m - offset_m
+        bias = e.x[GPS_BIAS] - moved_m
+        if e.gps_offset is not None and (e.t_ns - e.gps_offset.t_ns) * NS <= OFFSET_LASTS_S:
+            bias = e.gps_offset.offset_m - offset_m - e.v_ned_tanker_m_s * e.x[LAG]
         return self._with_bias(replace(e, x=x, cov=cov), bias)
 
 
@@ -232,11 +261,11 @@ def forget(cov: Mat, part: slice, sigma: Vec) -> None:
     cov[part, part] = np.diag(sigma**2)
 
 
-def widened_estimate(e: Estimate) -> Estimate:
-    """Return the estimate less sure of position, velocity, attitude and boresight."""
+def widened_estimate(e: Estimate, times: float) -> Estimate:
+    """Return the estimate less sure, ``times`` the usual, of position, velocity, attitude and boresight."""
     cov = e.cov.copy()
     for part, sigma in ((P, WIDER_M), (V, WIDER_M_S), (THETA, WIDER_RAD), (BORESIGHT, WIDER_RAD)):
-        cov[part, part] += np.eye(3) * sigma**2
+        cov[part, part] += np.eye(3) * (times * sigma) ** 2
     return replace(e, cov=cov)
 
 

@@ -48,8 +48,8 @@ class Flight:
     def p_tanker(self, t_ns):
         return fs.V_TANKER * t_ns * 1e-9
 
-    def go(self, seconds, *, labels=None, positions=True):
-        """Fly on; ``labels``: indices of the markers seen at 20 Hz, or a function that makes a frame."""
+    def go(self, seconds, *, labels=None, positions=True, every_ms=50):
+        """Fly on; ``labels``: indices of the markers seen every ``every_ms``, or a function that makes a frame."""
         end_ns = self.t_ns + round(seconds * S)
         while self.t_ns < end_ns:
             self.t_ns += 10 * MS
@@ -63,7 +63,7 @@ class Flight:
                     TankerState(self.t_ns, fix, fs.V_TANKER, self.told(fs.R_TANKER), self.rates())
                 )
                 self.updates += self.filter.positions()
-            if labels is not None and self.t_ns % (50 * MS) == 0:
+            if labels is not None and self.t_ns % (every_ms * MS) == 0:
                 frame = labels(self) if callable(labels) else self.frame(labels)
                 self.updates += self.filter.vision(frame)
         return self
@@ -263,11 +263,12 @@ def test_single_frames_that_are_metres_off_change_nothing():
     assert np.linalg.norm(f.error_m()) < 0.1
 
 
-def test_vision_that_insists_near_the_tanker_puts_the_position_anew_and_says_so():
+@pytest.mark.parametrize("every_ms", [10, 20, 50, 100])
+def test_vision_that_insists_near_the_tanker_puts_the_position_anew_and_says_so(every_ms):
     f = Flight().go(1.0).go(2.0, labels=range(9))
     f.r_m = f.r_m + np.array([1.5, -1.0, 1.0])  # as after a stretch of wrong velocities; GPS says nothing of it
     f.bias_m = -np.array([1.5, -1.0, 1.0])
-    f.go(1.5, labels=range(9))
+    f.go(1.5, labels=range(9), every_ms=every_ms)
     assert f.reasons("pixels").count("position_anew") == 1
     assert np.linalg.norm(f.error_m()) < 0.1
     assert f.reasons("pixels")[-1] == ""
@@ -291,6 +292,47 @@ def test_lights_that_are_refused_without_a_pose_widen_the_filter():
     f.go(2.0, labels=lambda f: f.frame([0, 3, 7], pose=False))
     assert "wider" in f.reasons("pixels")
     assert np.linalg.norm(f.error_m()) < 0.5
+
+
+@pytest.mark.parametrize("off_m", [0.5, 1.2])
+def test_a_pose_that_was_refused_long_ago_is_not_in_the_way_of_widening(off_m):
+    f = Flight().go(1.0).go(2.0, labels=range(9))
+    f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=False))
+    f.r_m = f.r_m + np.array([0.0, off_m, 0.0])
+    f.go(0.3, labels=range(9))
+    f.go(5.0, labels=lambda f: f.frame([0, 3, 7], pose=False))
+    assert "wider" in f.reasons("pixels")
+    assert f.reasons("pixels")[-1] == ""
+    assert np.linalg.norm(f.error_m()) < 0.5
+
+
+def test_gps_that_corrects_itself_minutes_after_the_last_sight_puts_the_position_anew():
+    f = Flight().go(1.0).go(3.0, labels=range(9)).go(240.0)
+    f.r_m = f.r_m + np.array([0.0, 8.0, 0.0])  # where velocities have taken it in minutes, and GPS says at last
+    f.go(3.0)
+    assert "position_anew" in f.reasons("gps")
+    assert np.linalg.norm(f.error_m()) < 2.0
+
+
+def test_gps_that_jumps_soon_after_the_last_sight_does_not_move_the_position():
+    f = Flight().go(1.0).go(3.0, labels=range(9)).go(10.0)
+    f.bias_m = np.array([0.0, 8.0, 0.0])
+    f.go(3.0)
+    assert "bias_anew" in f.reasons("gps")
+    assert np.linalg.norm(f.error_m()) < 0.5
+
+
+def test_projected_markers_do_not_make_a_position_worth_keeping():
+    def projected(f):
+        frame = f.frame(seen_from_m=f.r_m)
+        frame.detections.sigma_px[:] = 0.0
+        return frame
+
+    f = Flight().go(3.0, labels=projected)
+    f.r_m = f.r_m + np.array([0.0, 20.0, 0.0])  # as the datum that was wrong is put right
+    f.go(2.0, labels=projected)
+    assert "position_anew" in f.reasons("gps")
+    assert np.linalg.norm(f.error_m()) < 1.0
 
 
 def test_a_boresight_is_found_and_does_not_turn_the_camera_s_view_of_the_tanker():

@@ -1,10 +1,14 @@
+from dataclasses import replace
+
 import filter_scene as fs
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config import FilterConfig
 from companion.estimation.filter_history import FilterHistory
+from companion.estimation.filter_state import SIZE, Offset
 from companion.estimation.filter_steps import Steps
 
 C = FilterConfig()
@@ -53,3 +57,28 @@ def test_an_estimate_at_an_instant_rests_on_nothing_after_it():
     t_ns = DRAWN.measurements[-1].t_ns - 300 * fs.MS
     assert history.before(t_ns).t_ns <= t_ns < history.newest.t_ns
     assert np.trace(history.before(t_ns).cov[:3, :3]) > 0
+
+
+@pytest.mark.parametrize("old_s", [0.2, 100.0])
+def test_a_position_put_anew_explains_gps_by_bias_and_lag_and_only_by_a_young_difference(old_s):
+    c = FilterConfig()
+    steps, rng = Steps(c, fs.MARKERS), np.random.default_rng(1)
+    place, lag_s, t_ns = np.array([-30.0, -3.0, 12.0]), 0.01, 200 * fs.S
+    truth = np.zeros(SIZE)
+    truth[0:3], truth[15] = place + np.array([1.5, -1.0, 1.0]), lag_s
+    e = steps.unknown(t_ns)
+    e.x[0:3], e.x[9:12], e.x[15] = place, [0.5, 0.5, 0.5], lag_s
+    e.cov[:] = np.diag(np.repeat([0.02, 0.01, 1e-3, 0.3, 1e-3, 1e-5], [3, 3, 3, 3, 3, 1]) ** 2)
+    gps = Offset(t_ns - round(old_s * fs.S), place + np.full(3, 7.0) + fs.V_TANKER * lag_s)
+    e = replace(e, ready=True, sight_ns=t_ns, gps_offset=gps)
+    sigma, reasons = np.full(9, 0.035 / fs.FOCAL_PX), []
+    while "position_anew" not in reasons and len(reasons) < 40:
+        t_ns += 20 * fs.MS
+        e, outcome = steps.take(e, fs.frame_of(rng, t_ns, truth, np.zeros(3), sigma, c, 9, 0.1))
+        reasons.append(outcome.updates[0].reason)
+        if old_s < 1.0:
+            e = replace(e, gps_offset=replace(gps, t_ns=t_ns))
+    assert reasons[-1] == "position_anew"
+    moved = truth[0:3] - place
+    bias = np.array([7.0, 7.0, 7.0]) - moved if old_s < 1.0 else np.array([0.5, 0.5, 0.5]) - moved
+    assert np.abs(e.x[9:12] - bias).max() < 0.1
