@@ -30,8 +30,9 @@ def nominal_cov(p_m: float, v_m_s: float, angle_rad: float) -> Mat:
 
 
 BY_VISION = nominal_cov(0.05, 0.06, 0.001)
-BY_GPS = nominal_cov(0.15, 0.06, 0.001)
-"""The blend knows no covariance: what a pose and a difference of two GPS are good for, said once and for all."""
+BY_GPS = nominal_cov(0.92, 0.06, 0.001)
+"""The blend knows no covariance: what a pose and a difference of two GPS are good for, said once and for all. The noise
+of two GPS, 0.15 m, and what they err against each other for minutes, 0.9 m (``IntegrityConfig.gps_own_m``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,8 @@ Rules
   and what nothing has judged since the newest.
 * ``may_dock``: seen at most ``stale_s`` ago, every source fresh, the newest frame taken and some before it, no fault,
   protection within the alert limit. Nothing seen is no fault: protection is then ``UNKNOWN_M``, ``unseen`` among the
-  notes. Notes never take ``may_dock`` away but ``unseen``, ``stale <source>`` and ``unsettled``.
+  notes. Markers that simulated vision projects, without noise, from what GPS says, are not seen. Notes never take
+  ``may_dock`` away but ``unseen``, ``stale <source>`` and ``unsettled``.
 
 ==================== ==================================================================================================
 fault                meaning
@@ -42,6 +43,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -107,6 +109,8 @@ class IntegrityMonitor:
         for test in (self._markers, self._gps, self._attitude, self._innovation, self._moment):
             test.restart()
         self._seen: VisionOutput | None = None
+        self._sight_ns: int | None = None
+        self._imagined_ns: int | None = None
         self._filtered = self._entered = False
         self._inside_ns = 0
         self._hypotheses: Separations | None = None
@@ -139,6 +143,11 @@ class IntegrityMonitor:
         seen, self._seen = self._seen, None
         if seen is None or seen.t_ns != fused.t_ns:
             return
+        if imagined(seen):
+            self._imagined_ns = seen.t_ns
+            return
+        if fused.markers_used > 0:
+            self._sight_ns = seen.t_ns
         pose = seen.pose
         T = fused.T_cam_tanker if pose is None else pose.T_cam_tanker
         many = int(np.count_nonzero(seen.labels >= 0)) >= self._vision.min_markers
@@ -161,6 +170,8 @@ class IntegrityMonitor:
 
     def at(self, state: RelativeState, sources: Sources) -> Integrity:
         """Return what protects the estimate at its instant."""
+        if sources.sight_ns is not None and sources.sight_ns == self._imagined_ns:
+            sources = replace(sources, sight_ns=self._sight_ns)
         R_ned_cam = state.R_ned_frd @ self._R_frd_cam
         faults, notes = self._gps.at(state.t_ns, R_ned_cam @ state.T_cam_tanker.R)
         more, more_notes = self._innovation.failing
@@ -221,3 +232,9 @@ class IntegrityMonitor:
             covs.append(turning.cov)
             common = turning.common if np.trace(turning.common) > np.trace(common) else common
         return Separations(np.vstack(off_m), np.concatenate(covs), common)
+
+
+def imagined(seen: VisionOutput) -> bool:
+    """Tell whether the labelled markers of a frame were projected, not seen: what is seen has noise."""
+    at = seen.labels[seen.labels >= 0]
+    return len(at) > 0 and not seen.detections.sigma_px[at].any()

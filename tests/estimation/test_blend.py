@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config import FusionConfig
+from companion.config import FusionConfig, IntegrityConfig
 from companion.estimation.aircraft import Aircraft
 from companion.estimation.blend import BY_GPS, BY_VISION, Blend
 from companion.geometry import SE3, R_cam_crf, rotation_from_euler
@@ -170,6 +170,7 @@ def test_an_estimate_says_how_good_its_sources_are():
     assert np.allclose(by_vision.p_ned_m, there, atol=1e-3)
     assert np.allclose(by_gps.p_ned_m, np.subtract(*place(500 * MS, relative_m)) + bias, atol=1e-6)
     assert np.array_equal(by_gps.cov, BY_GPS)
+    assert (np.diag(by_gps.cov)[:3] >= IntegrityConfig().gps_own_m ** 2).all(), "what two GPS err for minutes"
     assert np.array_equal(by_vision.cov, BY_VISION)
 
 

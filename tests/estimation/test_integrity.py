@@ -120,6 +120,26 @@ def test_nothing_seen_is_no_fault_and_no_leave_to_dock():
         assert ("unseen" in later.notes) is not known
 
 
+def test_markers_that_simulated_vision_projects_are_not_seen():
+    """From the start, and after real ones: what GPS says is no proof of what GPS says."""
+
+    def projected(watcher, w, frames):
+        for _ in range(frames):
+            (seen, fused), state, _ = w.frame()
+            seen.detections.sigma_px[:] = 0.0
+            watcher.see(seen)
+            watcher.see(fused)
+        return watcher.at(state, w.sources())
+
+    never = projected(monitor(), world(), 40)
+    assert (never.may_dock, never.faults, never.notes) == (False, (), ("unseen",))
+    assert (never.protection_mrf_m >= 1e3).all()
+    watcher, w = monitor(), world()
+    assert last(watcher, w).may_dock
+    assert not projected(watcher, w, 20).may_dock
+    assert last(watcher, w).may_dock
+
+
 @pytest.mark.parametrize("seen", [NINE[:5], NINE[:6], NINE[:8], NINE])
 def test_five_to_nine_markers_protect_a_contact(seen):
     assert last(monitor(), world(seen=seen)).may_dock
