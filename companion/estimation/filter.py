@@ -83,7 +83,7 @@ class RelativeFilter:
         if a is None or a.carried:
             return []
         self._gps_taken_ns = t_ns
-        return self._take(gps_difference(a))
+        return self._take(gps_difference(a, self._noise.gaps(a)))
 
     def _take(self, m: Measurement) -> list[Output]:
         outcome = self._history.take(m)
@@ -97,13 +97,13 @@ class RelativeFilter:
         if a is None:
             return []
         noise = self._noise.table(a, ages_of(self._aircraft, seen.t_ns))
-        geometry = geometry_of(a, self._aircraft.T_frd_cam, noise)
+        geometry = geometry_of(a, self._aircraft.T_frd_cam, noise, self._noise.gaps(a))
         updates = self._take(self._reader.read(seen, geometry))
         e = self._history.before(seen.t_ns)
         T_gps = self._aircraft.T_cam_tanker(a, a.p_ned_gps_m)
         if e is None or not e.ready:
             return [*updates, FusedPose(seen.t_ns, T_gps, T_gps, 0.0, 0)]
-        x, cov = self._steps.carried(e, seen.t_ns)
+        x, cov = self._steps.carried(e, seen.t_ns, self._noise.gaps(a))
         used = e.markers_used if e.sight_ns == seen.t_ns else 0
         fused = FusedPose(seen.t_ns, self._pose(a, x), T_gps, self._vision_weight(cov), used)
         return [*updates, fused, FilterState(seen.t_ns, x, np.sqrt(np.diag(cov)), cov)]
@@ -130,7 +130,7 @@ class RelativeFilter:
         e = self._history.before(t_ns)
         if e is None or not e.ready:
             return Prior(self._aircraft.T_cam_tanker(a, a.p_ned_gps_m), tracked=False)
-        x, cov = self._steps.carried(e, t_ns)
+        x, cov = self._steps.carried(e, t_ns, self._noise.gaps(a))
         seen_s = np.inf if e.sight_ns is None else (t_ns - e.sight_ns) * NS
         sure = float(cov[0, 0] + cov[1, 1] + cov[2, 2]) <= TRACKED_M**2
         return Prior(self._pose(a, x), sure and seen_s <= self._config.filter.sight_lasts_s, self._pose_cov(a, x, cov))
@@ -159,7 +159,7 @@ class RelativeFilter:
         e = self._history.before(t_ns)
         if a is None or e is None or not e.ready:
             return None
-        x, cov = self._steps.carried(e, t_ns)
+        x, cov = self._steps.carried(e, t_ns, self._noise.gaps(a))
         return Relative(
             aligned=a,
             p_ned_m=a.travel_difference_m + x[P],

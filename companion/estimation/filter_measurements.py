@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.config import CameraConfig, FilterConfig
 from companion.estimation.aircraft import Aligned
+from companion.estimation.filter_noise import NO_GAPS, Gaps
 from companion.estimation.filter_state import Offset
 from companion.geometry import SE3, Mat, Vec
 from companion.messages import Detections, VisionOutput
@@ -28,6 +29,7 @@ class GpsDifference:
     t_ns: int
     offset_m: Vec
     v_ned_tanker_m_s: Vec
+    gaps: Gaps = NO_GAPS
 
     @property
     def order(self) -> tuple[int, int]:
@@ -49,6 +51,7 @@ class Geometry:
     lever_ned_m: Vec
     travel_m: Vec
     v_ned_tanker_m_s: Vec
+    gaps: Gaps = NO_GAPS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,17 +90,22 @@ class PixelFrame:
         """Return the tanker's velocity (3,) as it was told of the exposure."""
         return self.geometry.v_ned_tanker_m_s
 
+    @property
+    def gaps(self) -> Gaps:
+        """Return what gaps had done to the travels by the exposure."""
+        return self.geometry.gaps
+
 
 Measurement = GpsDifference | PixelFrame
 
 
-def gps_difference(a: Aligned) -> GpsDifference:
+def gps_difference(a: Aligned, gaps: Gaps) -> GpsDifference:
     """Return what the two positions say at the instant of ``a``."""
-    return GpsDifference(a.t_ns, a.p_ned_gps_m - a.travel_difference_m, a.tanker.v_ned_m_s)
+    return GpsDifference(a.t_ns, a.p_ned_gps_m - a.travel_difference_m, a.tanker.v_ned_m_s, gaps)
 
 
-def geometry_of(a: Aligned, T_frd_cam: SE3, noise: Mat) -> Geometry:
-    """Return the aircraft about an exposure; ``noise`` (9, 3) of ``filter_noise.InsNoise.table``."""
+def geometry_of(a: Aligned, T_frd_cam: SE3, noise: Mat, gaps: Gaps) -> Geometry:
+    """Return the aircraft about an exposure; ``noise`` (9, 3) and ``gaps`` of ``filter_noise.InsNoise``."""
     R_ned_cam = a.own_attitude.R_ned_body @ T_frd_cam.R
     table = np.empty((9, 3))
     table[0:3] = R_ned_cam.T
@@ -106,7 +114,7 @@ def geometry_of(a: Aligned, T_frd_cam: SE3, noise: Mat) -> Geometry:
     table[7] = a.travel_difference_m
     table[8] = a.tanker_attitude.omega_body_rad_s
     lever_ned_m = a.own_attitude.R_ned_body @ T_frd_cam.t
-    return Geometry(table, noise, R_ned_cam, lever_ned_m, a.travel_difference_m, a.tanker.v_ned_m_s)
+    return Geometry(table, noise, R_ned_cam, lever_ned_m, a.travel_difference_m, a.tanker.v_ned_m_s, gaps)
 
 
 class FrameReader:

@@ -9,6 +9,8 @@ Rules
 * A sample's noise stays as long as the sample does; a travel that is extrapolated errs by velocity noise times age.
 * The velocity told turns with the attitude told, so that one noise moves an extrapolated travel and turns the lever of
   the box, the other way (``with_travel``).
+* Across a gap between samples a travel is a trapezium of two velocities: it errs by T / 2 of the noise of each, and by
+  what the aircraft did meanwhile against the straight line between them (``BETWEEN``). That stays in the travel.
 * Samples are stamped a little wrong, which is a way along the path.
 """
 
@@ -25,6 +27,14 @@ from companion.messages import NS
 
 OWN, TANKER, TRAVEL = slice(0, 3), slice(3, 6), slice(6, 9)
 """Rows of a table of noise: attitude of the receiver and of the tanker, difference of travels."""
+
+BETWEEN = 8.0
+"""An acceleration a that comes and goes within T leaves a T^2 / 8: half the largest that two equal velocities hide."""
+
+Gaps = tuple[float, float, float]
+"""Variance of the difference of travels by all gaps so far, path axes."""
+
+NO_GAPS: Gaps = (0.0, 0.0, 0.0)
 
 SLOWEST_M_S = 1.0
 """Below this speed there is no path."""
@@ -93,6 +103,15 @@ class InsNoise:
         if age_s == 0.0:
             return self._attitude * np.eye(3)
         return turned(R, self._attitude + age_s**2 * self._rate + 0.25 * age_s**4 * turn)
+
+    def gaps(self, a: Aligned) -> Gaps:
+        """Return what the difference of travels has taken in by gaps up to an instant."""
+        (own2, own4), (tanker2, tanker4) = a.own.gaps, a.tanker.gaps
+        if own2 == tanker2 == 0.0:
+            return NO_GAPS
+        by_noise = 0.5 * (own2 + tanker2) * self._velocity
+        along, across, down = (by_noise + (own4 * self._own + tanker4 * self._tanker) / BETWEEN**2).tolist()
+        return along, across, down
 
     def with_travel(self, a: Aligned, age_s: float, since_sight_s: float) -> Mat:
         """Return the covariance (3, 3) of a travel's error with that of the attitude of the same aircraft, ``ned``.

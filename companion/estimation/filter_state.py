@@ -50,9 +50,9 @@ class Estimate:
 
     ``x`` (16,), ``cov`` (16, 16). ``ready``: there is a position at all. ``sight_ns``, ``gps_ns``: the last frame and
     the last difference of positions that were taken. ``pixel_offsets``, ``gps_offsets``: what those of them said that
-    were refused since (before the start: all), to tell a source that has something to say from one that errs.
-    ``gps_offset``: the newest difference of positions less that of travels, taken or not. ``v_ned_tanker_m_s`` (3,) as
-    it was told: the path.
+    were refused since (before the start: all), to tell a source that has something to say from one that errs. ``gaps``:
+    what gaps of telemetry have done to the travels so far (``filter_noise``). ``gps_offset``: the newest difference of
+    positions less that of travels, taken or not. ``v_ned_tanker_m_s`` (3,) as it was told: the path.
     """
 
     t_ns: int
@@ -66,6 +66,7 @@ class Estimate:
     gps_offsets: tuple[Offset, ...] = ()
     pixel_offsets: tuple[Offset, ...] = ()
     pixels_refused_ns: int | None = None
+    gaps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     v_ned_tanker_m_s: Vec = field(default_factory=lambda: np.zeros(3))
 
     @property

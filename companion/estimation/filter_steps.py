@@ -22,6 +22,7 @@ from companion.config import FilterConfig
 from companion.estimation.filter_association import associate
 from companion.estimation.filter_kernel import predict, take_linear
 from companion.estimation.filter_measurements import GpsDifference, MarkerPixels, Measurement, PixelFrame
+from companion.estimation.filter_noise import Gaps, path_axes, turned
 from companion.estimation.filter_pixels import ALL_TAKEN, UNUSABLE, take_pixels
 from companion.estimation.filter_state import (
     BORESIGHT,
@@ -84,17 +85,20 @@ class Steps:
         """Return what is known before any measurement."""
         return unknown(t_ns, self._c)
 
-    def carried(self, e: Estimate, t_ns: int) -> tuple[Vec, Mat]:
-        """Return state and covariance, copies, at an instant at or after that of the estimate."""
+    def carried(self, e: Estimate, t_ns: int, gaps: Gaps) -> tuple[Vec, Mat]:
+        """Return state and covariance, copies, at an instant at or after that of the estimate, with ``gaps`` by then.
+        """
         x, cov = e.x.copy(), e.cov.copy()
         if t_ns > e.t_ns and e.ready:
             predict(x, cov, (t_ns - e.t_ns) * NS, self._noise, e.v_ned_tanker_m_s)
+        if gaps != e.gaps:
+            cov[P, P] += turned(path_axes(e.v_ned_tanker_m_s), np.maximum(np.subtract(gaps, e.gaps), 0.0))
         return x, cov
 
     def take(self, e: Estimate, m: Measurement) -> tuple[Estimate, Outcome]:
         """Return the estimate at the instant of ``m``, which is not before that of ``e``, and what came of it."""
-        x, cov = self.carried(e, m.t_ns)
-        e = replace(e, t_ns=m.t_ns, x=x, cov=cov, v_ned_tanker_m_s=m.v_ned_tanker_m_s)
+        x, cov = self.carried(e, m.t_ns, m.gaps)
+        e = replace(e, t_ns=m.t_ns, x=x, cov=cov, gaps=m.gaps, v_ned_tanker_m_s=m.v_ned_tanker_m_s)
         if isinstance(m, GpsDifference):
             return self._gps(e, m) if e.ready else self._gps_start(e, m)
         return self._frame(e, m) if e.ready else self._pose_start(e, m)

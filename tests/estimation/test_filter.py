@@ -38,6 +38,7 @@ class Flight:
         self.t_ns = 0
         self.boresight = np.zeros(3)
         self.off_own = self.off_tanker = self.nothing
+        self.silent = str
         self.updates = []
         self.fix: bool | None = None  # what the receiver's GPS says of itself, five times a second
 
@@ -55,9 +56,9 @@ class Flight:
             self.t_ns += 10 * MS
             if self.fix is not None and self.t_ns % (200 * MS) == 0:
                 self.aircraft.gps_event(GpsStatus(self.t_ns, has_fix=self.fix))
-            if self.t_ns % (20 * MS) == 0:
+            if self.t_ns % (20 * MS) == 0 and self.silent() != "own":
                 self.own(positions)
-            if self.t_ns % (40 * MS) == 0:
+            if self.t_ns % (40 * MS) == 0 and self.silent() != "tanker":
                 fix = self.p_tanker(self.t_ns) + self.gps_noise() + self.off_tanker()
                 self.aircraft.tanker_event(
                     TankerState(self.t_ns, fix, fs.V_TANKER, self.told(fs.R_TANKER), self.rates())
@@ -459,3 +460,21 @@ def test_positions_that_are_refused_and_carried_on_are_no_gps(whose):
     f.go(1.5)
     assert len(f.reasons("gps")) > told
     assert f.filter.at(f.t_ns).estimate_ns >= f.t_ns - 50 * MS
+
+
+@pytest.mark.parametrize("whose", ["own", "tanker"])
+def test_a_gap_of_telemetry_stays_in_what_the_estimate_says_of_itself(whose):
+    def variance_after(gap_ns):
+        f = Flight().go(1.0).go(2.0, labels=range(9))
+        end_ns, silence_ns = f.t_ns + 840 * MS, f.t_ns + gap_ns
+        f.fix = False
+        f.aircraft.gps_event(GpsStatus(f.t_ns, has_fix=False))
+        f.silent = lambda: whose if f.t_ns < silence_ns else ""
+        f.go(1e-9 * (end_ns - f.t_ns))
+        return np.diag(f.filter.at(f.t_ns).cov)[:3]
+
+    c = FilterConfig()
+    more = variance_after(800 * MS) - variance_after(0)
+    assert more[1] > 0.5 * 0.78**2 * c.velocity_sigma_m_s**2, "two velocities, 0.8 s apart"
+    acceleration = c.own_acceleration_m_s2 if whose == "own" else c.tanker_acceleration_m_s2
+    assert more[2] > (acceleration[2] * 0.78**2 / 8) ** 2

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from companion.config import FilterConfig
 from companion.estimation.aircraft import Aligned
-from companion.estimation.alignment import Attitude, Motion
+from companion.estimation.alignment import Attitude, Motion, MotionHistory
 from companion.estimation.filter_noise import OWN, TANKER, TRAVEL, Ages, InsNoise, path_axes
 from companion.geometry import exp_so3
 
@@ -104,3 +104,23 @@ def test_correlation_of_travel_and_attitude_fits_what_both_have(age_s, since_sig
     cov[3:, :3] = cov[:3, 3:].T
     scale = np.sqrt(np.diag(cov))
     assert np.linalg.eigvalsh(cov / np.outer(scale, scale)).min() > -1e-6
+
+
+@pytest.mark.parametrize("gap_s", [0.2, 0.5, 0.9])
+def test_a_travel_across_a_gap_errs_as_it_says(gap_s):
+    """The tanker's velocities, with their noise, between which it went as straight as it could."""
+    rng, sigma_m_s, errors = np.random.default_rng(4), np.array([C.speed_sigma_m_s, *[C.velocity_sigma_m_s] * 2]), []
+    straight = InsNoise(FilterConfig(tanker_acceleration_m_s2=(0.0, 0.0, 0.0)))
+    v = np.array([206.0, 0.0, 0.0])
+    for _ in range(400):
+        own, tanker = MotionHistory(), MotionHistory()
+        for t_s in (0.0, 0.04, 0.04 + gap_s):
+            tanker.add(round(t_s * fs.S), v * t_s, v + sigma_m_s * rng.standard_normal(3))
+        for k in range(60):
+            own.add(k * 20 * fs.MS, v * 0.02 * k, v)
+        at = [Aligned(t, own.at(t), None, tanker.at(t), None) for t in (40 * fs.MS, round((0.04 + gap_s) * fs.S))]
+        errors.append(at[1].travel_difference_m - at[0].travel_difference_m)
+        assert straight.gaps(at[0]) == (0.0, 0.0, 0.0)
+    told = np.sqrt(straight.gaps(at[1]))
+    assert np.sqrt(np.mean(np.square(errors), axis=0)) == pytest.approx(told, rel=0.1)
+    assert (np.array(NOISE.gaps(at[1]))[1:] > told[1:] ** 2).all(), "and what it may have done meanwhile"
