@@ -28,9 +28,18 @@ ANYWHERE_M = 1000.0
 
 SPEED, PITCH, X, Y, HEIGHT, TIME = 0, 7, 9, 10, 11, 12
 """Places of values in the tanker's frame (``companion.io.datalink``)."""
+TOLD = {"height": HEIGHT, "velocity": SPEED, "turned": PITCH}
 
 ATTITUDE, POSITION = dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 HEARTBEAT = dialect.MAVLINK_MSG_ID_HEARTBEAT
+
+
+FRAME_KINDS = ("garbage", "wrong", "shifted", "boom")
+
+
+def _unknown(fault: Fault) -> ValueError:
+    """Return the error of a kind that nothing here knows to make."""
+    return ValueError(f"nothing knows how to make {fault.target}.{fault.kind}")
 
 
 class FrameCraft:
@@ -48,7 +57,11 @@ class FrameCraft:
         return _stamped(sample, sample.t_ns + by_ns)
 
     def wrong(self, sample: Frame, fault: Fault, elapsed_s: float, rng: np.random.Generator) -> list[Frame]:
-        """Make noise of it, mirror it, shift it, or lay the boom over it."""
+        """Make noise of it, mirror it, shift it, lay the boom over it, or stamp it by a clock that has stepped."""
+        if fault.kind == "step":
+            return [_stamped(sample, sample.t_ns - round(fault.amount / NS))]
+        if fault.kind not in FRAME_KINDS:
+            raise _unknown(fault)
         if isinstance(sample, CameraFrame):
             return [replace(sample, image=self._picture(sample.image, fault, rng))]
         return [replace(sample, detections=self._detections(sample.detections, fault, rng))]
@@ -121,8 +134,10 @@ class DatalinkCraft:
                 v[X] = v[Y] = v[HEIGHT] = NAN
             elif fault.kind == "step":
                 v[TIME] = (v[TIME] - fault.amount) % (TIME_PERIOD_NS * NS)
+            elif fault.kind in TOLD:
+                v[TOLD[fault.kind]] += fault.amount
             else:
-                v[{"height": HEIGHT, "velocity": SPEED, "turned": PITCH}[fault.kind]] += fault.amount
+                raise _unknown(fault)
 
         return [_with_values(sample, change)]
 
@@ -136,6 +151,12 @@ def _with_values(frame: bytes, change: Callable[[list[float]], None]) -> bytes:
     change(values)
     body = LAYOUT.pack(frame[0], *values)
     return body + CHECKSUM.pack(crc_hqx(body, 0xFFFF))
+
+
+TELEMETRY_KINDS = {
+    "attitude": ("garbage", "wrong", "nan"), "position": ("garbage", "wrong", "nan"), "heartbeat": ("garbage", "wrong"),
+    "link": ("forged",), "clock": ("backwards", "step"),
+}
 
 
 class MavlinkCraft:
@@ -165,6 +186,8 @@ class MavlinkCraft:
 
     def wrong(self, sample: bytes, fault: Fault, elapsed_s: float, rng: np.random.Generator) -> list[bytes]:
         """Change what the autopilot tells; the checksum is right but for garbage of the heartbeat."""
+        if fault.kind not in TELEMETRY_KINDS.get(fault.target, ()):
+            raise _unknown(fault)
         if fault.target == "clock":
             back_s = 2.0 * elapsed_s if fault.kind == "backwards" else fault.amount
             return [self.stamped_later(sample, -round(back_s * 1000.0) * 1_000_000)]
@@ -237,5 +260,7 @@ class GpsCraft:
         if fault.kind == "garbage":
             north, east, down = rng.uniform(-ANYWHERE_M, ANYWHERE_M, 3).tolist()
             return [replace(sample, p_ned_m=(x + north, y + east, z + down))]
+        if fault.kind not in ("wrong", "drag"):
+            raise _unknown(fault)
         away_m = fault.amount * (elapsed_s if fault.kind == "drag" else 1.0)
         return [replace(sample, p_ned_m=(x + away_m, y, z))]

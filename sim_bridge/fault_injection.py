@@ -53,27 +53,29 @@ class Faults:
     def __init__(self, faults: Sequence[Fault], setup: Setup, seeds: np.random.SeedSequence) -> None:
         """Give each fault a stream of chance of its own."""
         self._faults = [(fault, Window(fault)) for fault in faults]
-        streams = seeds.spawn(len(faults)) if faults else []
-        rngs = [np.random.default_rng(s) for s in streams]
+        rngs = [np.random.default_rng(s) for s in (seeds.spawn(len(faults)) if faults else [])]
         links, camera = setup.config.links, setup.camera
         crafts: dict[str, Any] = {
             "camera": FrameCraft(camera.width_px, camera.height_px), "datalink": DatalinkCraft(), "gps": GpsCraft(),
         }
+        self._tampers: list[list[Tamper[Any]]] = [[] for _ in faults]
+        self._seen = [0] * len(faults)
         self._mavlink: list[tuple[frozenset[int], Tamper[bytes]]] = []
-        self._vehicles: list[tuple[Window, SecondVehicle]] = []
+        self._vehicles: list[tuple[int, Window, SecondVehicle]] = []
         self._streams: dict[str, list[Tamper[Any]]] = {"camera": [], "datalink": [], "gps": []}
-        for (fault, window), rng in zip(self._faults, rngs, strict=True):
+        for k, ((fault, window), rng) in enumerate(zip(self._faults, rngs, strict=True)):
             if fault.kind == "second_vehicle":
-                self._vehicles.append((window, SecondVehicle(links)))
+                self._vehicles.append((k, window, SecondVehicle(links)))
             elif fault.target in TELEMETRY:
                 craft = MavlinkCraft(links.system_id, links.autopilot_component_id)
                 kinds = CLOCKED if fault.kind == "step" else TELEMETRY[fault.target]
-                self._mavlink.append((kinds, Tamper(fault, window, craft, rng)))
-            elif fault.target in crafts and fault.kind != "boresight":
-                self._streams[fault.target].append(Tamper(fault, window, crafts[fault.target], rng))
-            if fault.kind == "step":
-                for name in ("camera", "datalink"):
-                    self._streams[name].append(Tamper(fault, window, crafts[name], rng))
+                tamper: Tamper[Any] = Tamper(fault, window, craft, rng)
+                self._mavlink.append((kinds, tamper))
+                self._tampers[k].append(tamper)
+            streams = [fault.target] if fault.target in crafts and fault.kind != "boresight" else []
+            for name in ("camera", "datalink") if fault.kind == "step" else streams:
+                self._streams[name].append(Tamper(fault, window, crafts[name], rng))
+                self._tampers[k].append(self._streams[name][-1])
         self._reader = MavlinkCodec(255, 1)
         self._listener = MavlinkCodec(255, 1)
         self._T_frd_cam = T_frd_cam(camera)
@@ -84,6 +86,12 @@ class Faults:
         """Return when the first of the faults begins, once that is known; None without any."""
         known = [window.begin_ns for _, window in self._faults if window.begin_ns is not None]
         return min(known, default=None)
+
+    @property
+    def touched(self) -> tuple[int, ...]:
+        """Return how many samples each fault has changed, held up or left out; instants for what the camera sees."""
+        return tuple(seen + sum(tamper.touched for tamper in tampers)
+                     for seen, tampers in zip(self._seen, self._tampers, strict=True))
 
     def phase_entered(self, phase: Phase, t_ns: int) -> None:
         """Take note that the companion is in a phase; the first time counts."""
@@ -102,18 +110,21 @@ class Faults:
 
     def mavlink(self, data: bytes, t_ns: int) -> bytes:
         """Return what of the autopilot's telemetry arrives, and what else does on that link."""
-        for window, vehicle in self._vehicles:
+        others = b""
+        for k, window, vehicle in self._vehicles:
             if window.elapsed_s(t_ns) is not None:
-                data += vehicle.outgoing(t_ns)
+                sent = vehicle.outgoing(t_ns)
+                self._seen[k] += sent != b""
+                others += sent
         if not self._mavlink:
-            return data
+            return data + others
         frames = [frame for _, frame in self._reader.feed(data)]
         for kinds, tamper in self._mavlink:
             arriving = tamper.pass_on([], t_ns)
             for frame in frames:
                 arriving += tamper.pass_on([frame], t_ns) if message_id(frame) in kinds else [frame]
             frames = arriving
-        return b"".join(frames)
+        return b"".join(frames) + others
 
     def datalink(self, frame: bytes | None, t_ns: int) -> list[bytes]:
         """Return the frames that the tanker puts on its line in place of its own."""
@@ -136,9 +147,10 @@ class Faults:
     def lights(self, t_ns: int) -> Mat | None:
         """Return where the lights (n, 3) are in truth, tanker axes, m; None when they are where they belong."""
         places = None
-        for fault, window in self._faults:
+        for k, (fault, window) in enumerate(self._faults):
             if fault.target != "lights" or window.elapsed_s(t_ns) is None:
                 continue
+            self._seen[k] += 1
             places = self._lights.copy() if places is None else places
             if fault.kind == "moved":
                 places[MOVED_LIGHT, 1] += math.copysign(fault.amount, places[MOVED_LIGHT, 1])
@@ -148,8 +160,9 @@ class Faults:
 
     def camera_body(self, uav: BodyState) -> BodyState:
         """Return the receiver as the camera has it that has turned on its mount."""
-        for fault, window in self._faults:
+        for k, (fault, window) in enumerate(self._faults):
             if fault.kind == "boresight" and window.elapsed_s(uav.t_ns) is not None:
+                self._seen[k] += 1
                 turned = self._T_frd_cam @ SE3(exp_so3(np.array([fault.amount, 0.0, 0.0])), np.zeros(3))
                 T_frd_frd = turned @ self._T_frd_cam.inverse()
                 T_ned_frd = uav.T_ned_body() @ T_frd_frd

@@ -15,8 +15,8 @@ Contra = TypeVar("Contra")
 
 THERE_S, PERIOD_S = 0.2, 0.5
 """An intermittent source: how long it is there, of what."""
-HEARTBEAT_THERE_S, HEARTBEAT_PERIOD_S = 1.2, 2.5
-"""Heartbeats come once a second: no more than two seconds go by without."""
+HEARTBEAT_THERE_S, HEARTBEAT_PERIOD_S = 1.2, 2.1
+"""Heartbeats come once a second: one at a time is left out, never two, whenever the fault begins."""
 
 
 class Window:
@@ -53,12 +53,16 @@ class Craft(Protocol[T]):
 
 
 class Tamper(Generic[T]):
-    """One fault on one stream: ``pass_on`` what comes, and get what arrives."""
+    """One fault on one stream: ``pass_on`` what comes, and get what arrives.
+
+    ``touched`` counts what did not arrive as it came.
+    """
 
     def __init__(self, fault: Fault, window: Window, craft: Craft[T], rng: np.random.Generator) -> None:
         """``rng`` is for this fault alone."""
         self._fault, self._window, self._craft, self._rng = fault, window, craft, rng
         self._kept: T | None = None
+        self.touched = 0
         self._count = 0
         self._waiting: deque[tuple[int, T]] = deque()
         self._stamps_anew = fault.kind == "late" or (fault.target, fault.kind) == ("gps", "delayed")
@@ -71,7 +75,11 @@ class Tamper(Generic[T]):
         if elapsed_s is None:
             self._kept = samples[-1] if samples else self._kept
             return [*self._due(t_ns), *samples]
-        arriving = [tampered for sample in samples for tampered in self._tampered(sample, t_ns, elapsed_s)]
+        arriving = []
+        for sample in samples:
+            tampered = self._tampered(sample, t_ns, elapsed_s)
+            self.touched += not (len(tampered) == 1 and tampered[0] is sample)
+            arriving += tampered
         return [*self._due(t_ns), *arriving]
 
     def _due(self, t_ns: int) -> list[T]:

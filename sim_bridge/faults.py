@@ -19,7 +19,7 @@ slow         one of SIZE (10) comes       one of SIZE (10)     one of SIZE (10) 
 delayed      SIZE (0.3 s) later, with     the same             SIZE (0.3 s)      with true stamps  SIZE (0.3 s) later
              true stamps                                       later, stamped
                                                                as new
-intermittent 0.2 s there, 0.3 s not       the same             the same          the same          1.2 of each 2.5 s
+intermittent 0.2 s there, 0.3 s not       the same             the same          the same          1.2 of each 2.1 s
 ============ ============================ ==================== ================= ================= =====================
 
 And one by one:
@@ -41,7 +41,7 @@ gps.drag                  fixes are dragged off north at SIZE (0.5 m/s)
 link.second_vehicle       another vehicle on the link: heartbeat, attitude, position, and it commands a breakaway
 link.forged               somebody with the autopilot's ids sends attitudes too, SIZE (20 degrees) of roll off
 clock.backwards           stamps of attitude and position run backwards
-clock.step                the autopilot's clock, which stamps all but heartbeats, steps SIZE (5 s) back
+clock.step                the clock that stamps all but heartbeats, pictures and the tanker too, steps SIZE (5 s) back
 ========================= ==============================================================================================
 
 Rules

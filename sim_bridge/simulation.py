@@ -138,6 +138,11 @@ class Simulation:
         """Return when the first of the scenario's faults begins, once that is known; None without any."""
         return self._faults.began_ns
 
+    @property
+    def faults_touched(self) -> tuple[int, ...]:
+        """Return how much each of the scenario's faults has changed so far; nought for one that has not arrived."""
+        return self._faults.touched
+
     def phase_entered(self, phase: Phase, t_ns: int) -> None:
         """Take note of the companion's phase, which faults begin with; over wires it is read from its STATUSTEXT."""
         self._faults.phase_entered(phase, t_ns)

@@ -17,9 +17,9 @@ from companion.io.mavlink_codec import MavlinkCodec, dialect
 from companion.messages import CameraFrame, Detections, MarkerFrame, Phase, TankerState
 from sim_bridge import faults as faults_module
 from sim_bridge.__main__ import main
+from sim_bridge.fault_cells import BREAKAWAY, EITHER, HELD, MATRIX, MORE, OBSERVATION, STANDBY
 from sim_bridge.fault_crafts import DatalinkCraft, FrameCraft, GpsCraft, MavlinkCraft
 from sim_bridge.fault_injection import OUT_OF_SIGHT_M, Faults
-from sim_bridge.fault_matrix import BREAKAWAY, EITHER, HELD, MATRIX, MORE, OBSERVATION, STANDBY
 from sim_bridge.fault_streams import Tamper, Window
 from sim_bridge.faults import COMMON, KINDS, Fault, parse_fault
 from sim_bridge.scenario import load_scenario
@@ -116,6 +116,8 @@ def test_the_matrix_is_whole_and_its_names_are_its_own():
     assert {cell.name for cell in MATRIX} == wanted
     assert {cell.ends for cell in (*MATRIX, *MORE)} <= {HELD, BREAKAWAY, STANDBY, EITHER, OBSERVATION}
     assert all(cell.why for cell in (*MATRIX, *MORE))
+    assert all(cell.causes for cell in (*MATRIX, *MORE) if BREAKAWAY[0] in cell.ends)
+    assert all(0.0 < cell.bound_s <= cell.watch_s for cell in (*MATRIX, *MORE))
     flown = [parse_fault(text) for cell in (*MATRIX, *MORE) for text in cell.faults]
     assert {(fault.target, fault.kind) for fault in flown} == set(ALL)
 
@@ -187,6 +189,18 @@ def test_a_delay_that_ends_lets_what_waits_arrive_after_what_is_newer():
     arrived = fixes_through("gps.delayed@0:1", n=20)
     assert len(arrived) == 20
     assert [round(fix.p_ned_m[0], 6) for t, fix in arrived if S <= t < 1.3 * S] == [0.7, 1.0, 0.8, 1.1, 0.9, 1.2]
+
+
+@given(st.integers(0, 199), st.integers(5, 20))
+def test_heartbeats_that_come_and_go_leave_no_gap_of_more_than_two_seconds(steps, seconds):
+    """Whenever between two heartbeats the fault begins: one at a time is missing, and never two."""
+    fault = parse_fault(f"heartbeat.intermittent@{10.0 + 0.005 * steps:.3f}")
+    tamper = Tamper(fault, Window(fault), GpsCraft(), np.random.default_rng(1))
+    came = [t for t in range(10 + seconds) if tamper.pass_on([GpsFix(t * S, (0.0, 0.0, 0.0))], t * S)]
+    gaps = set(np.diff(came).tolist())
+    assert gaps <= {1, 2}
+    assert tamper.touched == 10 + seconds - len(came)
+    assert 2 in gaps or seconds < 7
 
 
 def test_drag_grows_and_garbage_is_anywhere():
@@ -279,6 +293,27 @@ def test_the_boom_hides_what_lies_behind_it_and_no_two_pictures_of_it_are_alike(
     assert one(craft, marker_frame(), "camera.boom=0.5").detections.uv_px.tolist() == [[10.0, 20.0], [300.0, 30.0]]
 
 
+def test_a_clock_that_steps_stamps_pictures_and_detections_too():
+    craft, picture = FrameCraft(320, 200), CameraFrame(20 * S, 3, np.zeros((200, 320, 3), np.uint8))
+    stepped = one(craft, picture, "clock.step")
+    assert (stepped.t_ns, stepped.sequence, stepped.image is picture.image) == (15 * S, 3, True)
+    stepped = one(craft, marker_frame(20 * S), "clock.step=2")
+    assert (stepped.t_ns, stepped.detections.t_ns) == (18 * S, 18 * S)
+    assert stepped.detections.uv_px.tolist() == marker_frame().detections.uv_px.tolist()
+
+
+@pytest.mark.parametrize(("craft", "sample"), [
+    (FrameCraft(320, 200), CameraFrame(0, 0, np.zeros((200, 320, 3), np.uint8))),
+    (FrameCraft(320, 200), marker_frame()),
+    (DatalinkCraft(), encode_frame(tanker_state(0), 0.0)),
+    (GpsCraft(), GpsFix(0, (0.0, 0.0, 0.0))),
+    (MavlinkCraft(1, 1), MavlinkCodec(1, 1).pack(dialect.MAVLink_heartbeat_message(1, 0, 0, 0, 0, 3))),
+])
+def test_a_kind_that_nothing_can_make_is_no_other_kind(craft, sample):
+    with pytest.raises(ValueError, match=r"nothing knows how to make lights\.half"):
+        one(craft, sample, "lights.half")
+
+
 def telemetry(message):
     return MavlinkCodec(1, 1).pack(message)
 
@@ -330,6 +365,18 @@ def test_a_forger_has_the_autopilots_ids_and_a_second_vehicle_its_own():
             assert message.get_srcSystem() == 2
             kinds[message.get_type()] += 1
     assert kinds == {"ATTITUDE_QUATERNION": 100, "LOCAL_POSITION_NED": 100, "HEARTBEAT": 2, "COMMAND_LONG": 2}
+
+
+def test_what_a_fault_has_changed_is_counted():
+    """Frames of the camera and of the tanker and telemetry, all by one clock; nought for a fault that never begins."""
+    faults = Faults((parse_fault("clock.step@0"), parse_fault("lights.all@1"), parse_fault("camera.off@9"),
+                     parse_fault("link.second_vehicle@0")), SETUP, np.random.SeedSequence(1))
+    for k in range(4):
+        faults.frames([marker_frame(k * S)], k * S)
+        faults.datalink(encode_frame(tanker_state(k * S), 0.0), k * S)
+        faults.mavlink(telemetry(ATTITUDE) + telemetry(POSITION), k * S)
+        faults.lights(k * S)
+    assert faults.touched == (16, 3, 0, 4)
 
 
 def test_lights_go_out_or_move():

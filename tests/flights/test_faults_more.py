@@ -23,7 +23,8 @@ from companion.app import warm_up
 from companion.io.recorder import read_records
 from companion.messages import NS, AttitudeSetpoint, Phase, PhaseChange
 from companion.vision.labeler import Labelled
-from sim_bridge.fault_matrix import BREAKAWAY, FARTHER_M, HELD, UNSEEN, Cell, fly_cell, matrix_flight
+from sim_bridge.fault_cells import BREAKAWAY, FARTHER_M, HELD, UNSEEN, Cell
+from sim_bridge.fault_matrix import fly_cell, matrix_flight
 from sim_bridge.flight import Ending, LockstepCompanion, Unrecorded, run
 from sim_bridge.scenario import Scenario
 from sim_bridge.scoring import Safety
@@ -97,10 +98,10 @@ def test_a_marker_that_is_wrong_in_the_companions_map():
 
     flight = fly_cell(replace(CLEAN, watch_s=4.0), SEED, companion_with(moved))
     assert flight.safe
-    assert flight.ended == HELD, flight.phases
+    assert flight.ended in HELD, flight.phases
 
 
-FROM_THE_START = Cell("from-the-start", ("heartbeat.stuck@0",), "", "a fault that changes nothing", watch_s=15.0,
+FROM_THE_START = Cell("from-the-start", ("heartbeat.stuck@0",), (), "a fault that changes nothing", watch_s=15.0,
                       start_tanker_m=FARTHER_M)
 
 
