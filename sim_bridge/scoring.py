@@ -8,8 +8,9 @@ Rules
 * What was not measured is None: without a hold there is no mean of BR. The share inside the window is 0.0 then.
 * Safety is scored over the whole flight (``Safety``). In contact and hold the receptacle has to be in the limit box
   below the tanker; in every other phase, breakaway too, it may be aft of it, below it or beside it, but never forward
-  of it or above it. In standby a pilot flies, or the autopilot by itself. A collision, a centre of mass in the space of
-  the tanker, counts in any phase.
+  of it or above it: in standby too, where the autopilot flies by itself, but for a standby in which a pilot does
+  (``TAKEN_OVER``), and before the first engagement. A collision, a centre of mass in the space of the tanker, counts in
+  any phase.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from companion.config import WindowConfig
 from companion.geometry import Mat, Vec
+from companion.guidance.modes import TAKEN_OVER
 from companion.messages import NS, Phase, PhaseChange
 from sim_bridge.plant.boom import Boom
 from sim_bridge.scenario import TANKER_SPACE_M, Scenario
@@ -102,9 +104,12 @@ class Safety:
         forward_or_above = np.maximum(br[:, 0] - self._limit_m[0], -br[:, 2] - self._limit_m[2])
         outside_box = (np.abs(br) - self._limit_m).max(axis=1)
         outside_m = np.zeros(len(br))
+        engaged = False
         for change, end_ns in zip(phases, [*(c.t_ns for c in phases[1:]), t_ns[-1] + 1], strict=False):
             meant = (t_ns >= change.t_ns) & (t_ns < end_ns)
-            if change.new is not Phase.STANDBY:
+            standby = change.new is Phase.STANDBY
+            engaged = engaged or not standby
+            if engaged and not (standby and change.reason == TAKEN_OVER):
                 boxed = change.new in (Phase.CONTACT, Phase.HOLD)
                 outside_m[meant] = (outside_box if boxed else forward_or_above)[meant]
         return np.maximum(outside_m, 0.0)

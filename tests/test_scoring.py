@@ -175,10 +175,20 @@ def still(seconds, br=(0.0, 0.0, 0.0)):
     (still(2.0) + still(1.0, (-20.0, 5.0, 20.0)), 0.0),  # aft, down and beside it in a breakaway
     (still(2.5) + still(0.5, (2.5, 0.0, 0.0)), 0.4),  # forward of it in a breakaway
     (still(2.5) + still(0.5, (0.0, 0.0, -3.0)), 0.44),  # above it in a breakaway
-    (still(0.5, (9.0, 0.0, 0.0)) + still(2.5), 0.0),  # in standby somebody else flies
+    (still(0.5, (9.0, 0.0, 0.0)) + still(2.5), 0.0),  # before the first engagement
 ])
 def test_the_limit_box_below_the_tanker_is_not_left(way, outside_m) -> None:
     assert watched(way).result(BROKE)["outside_limit_m"] == pytest.approx(outside_m)
+
+
+@pytest.mark.parametrize(("reason", "outside_m"), [
+    ("pilot took over", 0.0), ("killed", 0.9), ("autopilot left guided", 0.9), ("operator's clear", 0.9)])
+def test_in_standby_only_a_pilot_may_be_ahead_of_the_box(reason, outside_m) -> None:
+    left = PhaseChange(round(2.0e9), Phase.HOLD, Phase.STANDBY, reason)
+    told = watched(still(2.5) + still(0.5, (3.0, 0.0, 0.0))).result([BROKE[0], left])
+    assert told["outside_limit_m"] == pytest.approx(outside_m)
+    before = PhaseChange(0, Phase.STANDBY, Phase.STANDBY, "")  # as a record of many flights begins
+    assert watched(still(0.5, (9.0, 0.0, 0.0)) + still(2.5)).result([before, *BROKE])["outside_limit_m"] == 0.0
 
 
 def test_a_collision_is_a_centre_of_mass_in_the_space_of_the_tanker() -> None:
