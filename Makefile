@@ -7,7 +7,7 @@ SEED ?= 1
 ARGS ?=
 KERNELS := $(shell grep -rlE "njit|@kernel" companion sim_bridge --include=*.py)
 
-.PHONY: help setup sitl fly view study consistency accuracy integrity test test-slow check bench figures clean
+.PHONY: help setup sitl fly view study faults consistency accuracy integrity test test-slow check bench figures clean
 
 help:
 	@echo "make sitl     fly a docking: simulator and companion as two processes on the wall clock (about two minutes)"
@@ -17,6 +17,7 @@ help:
 	@echo "make test     the tests        make check    style, types, imports"
 	@echo "make bench    speed and accuracy figures"
 	@echo "make consistency, accuracy, integrity   many flights: tables and pictures in docs (10 to 25 minutes each)"
+	@echo "make faults   every fault there is, flown: what came of each, in docs/faults.md (three minutes)"
 	@echo "make figures  the pictures of the README"
 	@echo "SCENARIO=docking|thesis|moderate|turning|night|...|FILE SEED=1 ARGS='--pose glsdc'"
 
@@ -60,6 +61,9 @@ view: $(VENV)/.run
 
 study: $(VENV)/.kernels
 	@$(BIN)/sim-bridge study --seed $(SEED) $(ARGS)
+
+faults: $(VENV)/.kernels
+	@$(BIN)/sim-bridge faults --seed $(SEED) --out docs/faults.md $(ARGS)
 
 consistency accuracy integrity: $(VENV)/.kernels
 	@$(BIN)/sim-bridge $@ --out docs $(ARGS)

@@ -1,7 +1,7 @@
 """Command line of the simulator.
 
 Exit codes: 0 docked and held, or the report is written; 1 the simulated plant failed; 2 bad input (one line on stderr
-says what to mend); 3 ended safely without docking; 130 interrupted.
+says what to mend); 3 ended safely without docking, or something in the report is wrong; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ def parser() -> argparse.ArgumentParser:
     m.add_argument("--quick", action="store_true", help="two seeds and short holds")
     m.add_argument("--out", metavar="FILE", help="write the table to a file as well")
     m.set_defaults(action=_margins)
-    x = commands.add_parser("faults", help="fly the fault matrix in lockstep; print a table of what came of each fault")
+    x = commands.add_parser("faults", help="fly the fault matrix in lockstep; print tables of what came of each")
     x.add_argument("--seed", type=int, default=1, help="seed of all flights (default: 1)")
     x.add_argument("--only", metavar="WORD", default="", help="the cells whose name has this in it, e.g. camera-")
-    x.add_argument("--out", metavar="FILE", help="write the table to a file as well")
+    x.add_argument("--out", metavar="FILE", help="write the tables to a file as well")
     x.set_defaults(action=_faults)
     run_options(commands, _runs)
     lin = commands.add_parser("linearize", help="trim and linearise an aircraft; print A, B, modes")
@@ -211,25 +211,27 @@ def _margins(a: argparse.Namespace) -> int:
 
 
 def _faults(a: argparse.Namespace) -> int:
-    from sim_bridge.fault_matrix import MATRIX, MORE, table  # noqa: PLC0415  flights do without it
+    from sim_bridge.fault_cells import MATRIX, MORE  # noqa: PLC0415  flights do without it
+    from sim_bridge.fault_table import report  # noqa: PLC0415
 
     cells = tuple(cell for cell in (*MATRIX, *MORE) if a.only in cell.name)
     if not cells or a.seed < 0:
         msg = f"--seed {a.seed}: must not be negative" if cells else f"--only {a.only}: no fault has this in its name"
         raise ConfigError(msg)
     out = None if a.out is None else writable(Path(a.out))
-    text = table(a.seed, lambda line: print(line, file=sys.stderr, flush=True), cells)
+    text, right = report(a.seed, lambda line: print(line, file=sys.stderr, flush=True), cells)
     print(text)
     if out is not None:
         out.write_text(text + "\n", encoding="utf-8")
-    return DOCKED
+    return DOCKED if right else NOT_DOCKED
 
 
 def _runs(a: argparse.Namespace) -> int:
     from sim_bridge.runs.command import run  # noqa: PLC0415  it loads matplotlib, which flights do without
 
-    print(run(a))
-    return DOCKED
+    text, right = run(a)
+    print(text)
+    return DOCKED if right else NOT_DOCKED
 
 
 def writable(path: Path) -> Path:

@@ -14,18 +14,21 @@ from sim_bridge.runs.plots import draw_consistency, draw_stanford
 from sim_bridge.runs.record import Record
 
 
-def run(a: argparse.Namespace) -> str:
-    """Fly, write what ``--out`` asks for, and return the table; bad options are a ConfigError before the flights."""
+def run(a: argparse.Namespace) -> tuple[str, bool]:
+    """Fly, write what ``--out`` asks for; return the table, and whether no flight crashed or went wrong.
+
+    Bad options are a ConfigError before the flights.
+    """
     for name, least in (("flights", 1), ("processes", 1), ("first_seed", 0)):
         value = getattr(a, name, least)
         if value < least:
             msg = f"--{name.replace('_', '-')} {value}: must be at least {least}"
             raise ConfigError(msg)
     out = None if a.out is None else _folder(Path(a.out))
-    text = WORK[a.command](a, out)
+    text, right = WORK[a.command](a, out)
     if out is not None:
         (out / f"{a.command}.md").write_text(text + "\n", encoding="utf-8")
-    return text
+    return text, right
 
 
 def _folder(path: Path) -> Path:
@@ -46,7 +49,7 @@ def tell(line: str) -> None:
     sys.stderr.flush()
 
 
-def consist(a: argparse.Namespace, out: Path | None) -> str:
+def consist(a: argparse.Namespace, out: Path | None) -> tuple[str, bool]:
     """Fly for consistency; return the tables."""
     jobs = consistency.jobs(a.flights, a.turbulence, a.fusion, a.first_seed)
     found = fly_many(jobs, consistency.observe, processes=a.processes, tell=tell)
@@ -57,23 +60,24 @@ def consist(a: argparse.Namespace, out: Path | None) -> str:
     if groups and out is not None:
         draw_consistency(groups, out / "consistency.png")
     parts = [f"Flights {label}:\n\n{consistency.tables(records)}" for label, records in groups.items()]
-    return "\n\n".join([*parts, *_crashed(found)])
+    crashed = _crashed(found)
+    return "\n\n".join([*parts, *crashed]), not crashed
 
 
-def measure(a: argparse.Namespace, out: Path | None) -> str:
+def measure(a: argparse.Namespace, out: Path | None) -> tuple[str, bool]:
     """Fly for accuracy; return the table."""
     del out  # a table, no picture
-    return accuracy.measure(accuracy.cases(a.quick, a.first_seed), processes=a.processes, tell=tell)
+    return accuracy.measure(accuracy.cases(a.quick, a.first_seed), processes=a.processes, tell=tell), True
 
 
-def trust(a: argparse.Namespace, out: Path | None) -> str:
-    """Fly for integrity; return the table."""
+def trust(a: argparse.Namespace, out: Path | None) -> tuple[str, bool]:
+    """Fly for integrity; return the table, and whether nothing in it is worth a look."""
     jobs = [integrity.draw(a.first_seed + k) for k in range(a.flights)]
     found = fly_many(jobs, integrity.observe, processes=a.processes, tell=tell)
     judged = [o.judged for o in found if not isinstance(o, Crashed)]
     if judged and out is not None:
         draw_stanford(judged, jobs[0].setup.tanker.window.desired_m, out / "integrity.png")
-    return integrity.table(found)
+    return integrity.table(found), not integrity.worth_a_look(found)
 
 
 def _crashed(found: list[Any]) -> list[str]:

@@ -5,7 +5,9 @@ Rules
 * What a flight suffers follows from its seed: nothing (a tenth of them), or one cell of the fault matrix
   (``sim_bridge.faults``), in a phase and at an instant of it, for some seconds or to the end; half of the faults that
   have a size are of another size, a tenth to three times the usual: small ones are harder to see.
-* Flights begin near, by detections, half of them in moderate turbulence, and hold for 10 to 15 s.
+* Flights are a refuelling whose phases are made short (``fault_matrix.shortened``), so that integrity is asked: seen
+  without a fault, let to dock before and in the approach. They begin near, by detections, half of them in moderate
+  turbulence, and hold for 8 to 12 s; a retreat, too, costs time of ``WAY_S``.
 * How a flight ended: ``held``; ``breakaway``; the phase that it was in when time was up; ``plant`` when it failed.
 * Safety is ``scoring.Safety``'s: a collision, or outside the limits. "May dock" is judged by ``stanford``.
 """
@@ -19,6 +21,8 @@ import msgspec
 import numpy as np
 
 from companion.messages import NS, Phase
+from sim_bridge.fault_cells import NEAR_M
+from sim_bridge.fault_matrix import shortened
 from sim_bridge.faults import KINDS, Fault
 from sim_bridge.runs.flights import near
 from sim_bridge.runs.many import Crashed, Job
@@ -30,10 +34,15 @@ STREAM = 5
 
 HEALTHY = 0.1
 TO_THE_END = 0.5
-PHASES = {Phase.JOIN: 0.1, Phase.APPROACH: 0.4, Phase.CONTACT: 0.1, Phase.HOLD: 0.4}
+PHASES = {
+    Phase.JOIN: 0.1, Phase.OBSERVATION: 0.05, Phase.PRE_CONTACT: 0.15, Phase.APPROACH: 0.25, Phase.CONTACT: 0.1,
+    Phase.HOLD: 0.35,
+}
 AFTER_S = 6.0
 LENGTH_S = (0.3, 6.0)
-HOLD_S = (10.0, 15.0)
+HOLD_S = (8.0, 12.0)
+WAY_S = 32.0
+"""From the start to the hold at the latest: 19 s when nothing goes wrong."""
 OTHER_SIZE = 0.5
 SIZES = (0.1, 3.0)
 FIXED = ("slow", "boom")
@@ -71,10 +80,11 @@ def draw(seed: int) -> Job:
     rng = np.random.default_rng([seed, STREAM])
     fault = None if rng.random() < HEALTHY else draw_fault(rng)
     name = "moderate" if rng.random() < 0.5 else "docking"
-    scenario, setup = near(name, seed, round(float(rng.uniform(*HOLD_S)), 1))
+    hold_s = round(float(rng.uniform(*HOLD_S)), 1)
+    scenario, setup = near(name, seed, hold_s, start_tanker_m=NEAR_M, timeout_s=hold_s + WAY_S)
     faults = () if fault is None else (fault,)
     label = f"{seed} {'light' if name == 'docking' else name} {NOTHING if fault is None else fault}"
-    return Job(label, msgspec.structs.replace(scenario, faults=faults), setup)
+    return Job(label, msgspec.structs.replace(scenario, faults=faults), shortened(setup))
 
 
 def draw_fault(rng: np.random.Generator) -> Fault:
@@ -155,7 +165,8 @@ def summary(found: Sequence[Outcome | Crashed]) -> list[str]:
     """Return the lines that count."""
     flown = [o for o in found if isinstance(o, Outcome)]
     instants, allowed = sum(o.judged.told for o in flown), sum(o.judged.allowed_count for o in flown)
-    per_axis = [np.sum([getattr(o.judged, name) for o in flown], axis=0) for name in ("misleading", "hazardous")]
+    per_axis = [np.reshape([getattr(o.judged, name) for o in flown], (-1, 3)).sum(axis=0)
+                for name in ("misleading", "hazardous")]
     false = sum(o.judged.false for o in flown)
     idle = sum(not o.began for o in flown if o.cell != NOTHING)
     return [

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from made_records import record_of, rows_of
 
+from companion.messages import Phase
 from sim_bridge.faults import fault_rules, parse_fault
 from sim_bridge.runs.integrity import CELLS, FIXED, NOTHING, counted, draw, draw_fault, ending, outcome, table
 from sim_bridge.runs.many import Crashed
+from sim_bridge.runs.record import record_flight
 
 DRAWN = 3000
 
@@ -42,7 +44,25 @@ def test_a_tenth_of_the_flights_suffers_nothing_and_half_are_in_moderate_turbule
     jobs = [draw(seed) for seed in range(1000, 1200)]
     assert 8 <= sum(not job.scenario.faults for job in jobs) <= 36
     assert 70 <= sum(job.scenario.turbulence == "moderate" for job in jobs) <= 130
-    assert all(10.0 <= job.scenario.hold_s <= 15.0 for job in jobs)
+    assert all(8.0 <= job.scenario.hold_s <= 12.0 for job in jobs)
+
+
+def test_flights_ask_integrity_and_begin_anywhere_on_the_way():
+    """The refuelling's own phases by gates that pass by themselves: without leave to dock nobody comes to the hold."""
+    jobs = [draw(seed) for seed in range(1100, 1400)]
+    for job in jobs:
+        guidance = job.setup.config.guidance
+        assert (guidance.procedure, guidance.auto_gates, guidance.self_test) == ("refuelling", True, False)
+    begun = {job.scenario.faults[0].phase for job in jobs if job.scenario.faults}
+    assert begun == {Phase.JOIN, Phase.OBSERVATION, Phase.PRE_CONTACT, Phase.APPROACH, Phase.CONTACT, Phase.HOLD}
+
+
+def test_a_drawn_flight_without_a_fault_docks_by_all_phases():
+    job = next(job for job in map(draw, range(1100, 1200)) if not job.scenario.faults)
+    record = record_flight(job)
+    assert [c.new for c in record.changes[1:]] == [
+        Phase.JOIN, Phase.OBSERVATION, Phase.PRE_CONTACT, Phase.APPROACH, Phase.CONTACT, Phase.HOLD]
+    assert outcome(record, job).ended == "held"
 
 
 HELD = ((0.0, "standby"), (1.0, "approach"), (2.0, "hold"))
