@@ -51,7 +51,7 @@ def test_gps_goes_out_for_both_aircraft_to_the_end():
         assert outage.until_s > scenario.timeout_s
 
 
-def test_the_rows_are_those_of_the_issue():
+def test_the_rows_are_both_turbulences_by_both_fusions_and_two_by_pictures():
     rows = cases(quick=False)
     assert {(c.turbulence, c.method) for c in rows if c.seen == "detections"} == {
         (t, m) for t in LIMITS_M for m in ("filter", "blend")}
