@@ -35,13 +35,17 @@ REHEARSED_STEPS = 44
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """How the serving went: simulated seconds, steps that began late, what the plant failed of, whether by Ctrl-C."""
+    """How the serving went: simulated seconds, steps that began late, what the plant failed of, whether by Ctrl-C.
+
+    ``fault_ns``: when the first of the scenario's faults began, on the wall clock.
+    """
 
     flown_s: float
     late_steps: int
     plant_failure: str | None = None
     interrupted: bool = False
     refuelling: dict[str, Any] = field(default_factory=dict)
+    fault_ns: int | None = None
 
 
 class PtyLine:
@@ -154,7 +158,7 @@ class Wires:
 def _pace(simulation: Simulation, wires: Wires, stop: Callable[[], bool], see: Callable[[Truth], None]) -> Served:
     next_ns = time.monotonic_ns()
     step = late = 0
-    failure, interrupted = None, False
+    failure, interrupted, fault_ns = None, False, None
     try:
         while not stop():
             behind_ns = time.monotonic_ns() - next_ns
@@ -166,13 +170,21 @@ def _pace(simulation: Simulation, wires: Wires, stop: Callable[[], bool], see: C
             next_ns += STEP_NS
             if step % TRUTH_EVERY == 0:
                 see(simulation.truth)
+            if fault_ns is None and has_begun(simulation):
+                fault_ns = time.monotonic_ns()
             _exchange(simulation, wires)
             step += 1
     except PlantError as error:
         failure = str(error)
     except KeyboardInterrupt:
         interrupted = True
-    return Served(step * STEP_NS * 1e-9, late, failure, interrupted, refuelling(simulation.world.boom))
+    return Served(step * STEP_NS * 1e-9, late, failure, interrupted, refuelling(simulation.world.boom), fault_ns)
+
+
+def has_begun(simulation: Simulation) -> bool:
+    """Tell whether a fault of the scenario has begun."""
+    began_ns = simulation.fault_began_ns
+    return began_ns is not None and simulation.truth.t_ns >= began_ns
 
 
 def _exchange(simulation: Simulation, wires: Wires) -> None:

@@ -96,7 +96,8 @@ def fly_sitl(scenario: Scenario, setup: Setup, stick_url: str | None = None) -> 
     if not served.interrupted:
         flight.check()
     phases = recorded_phases(folder)
-    result = score(truth_log.series(), phases, setup.tanker.window, scenario) | flight.safety.result(phases)
+    result = score(truth_log.series(), phases, setup.tanker.window, scenario)
+    result |= flight.safety.result(phases, served.fault_ns)
     return Flown(folder, _write_summary(folder, scenario, served, result))
 
 

@@ -18,6 +18,7 @@ from companion.config import CompanionConfig, ConfigError, load
 from companion.messages import Phase, PhaseChange, RelativeState
 from sim_bridge import sitl
 from sim_bridge.datalink import PtyLink
+from sim_bridge.faults import parse_fault
 from sim_bridge.flight import Flown, fly
 from sim_bridge.scenario import load_scenario
 from sim_bridge.scoring import score
@@ -126,6 +127,36 @@ def test_the_companion_flies_what_the_command_line_says(flight, tmp_path):
     got = companion.__main__._with_options(load(Path(scenario.companion), CompanionConfig), arguments)
     assert got == asked.config
     assert got != setup.config
+
+
+BREAKS_AWAY = """
+import json
+import pathlib
+import socket
+import sys
+import time
+
+folder, port = pathlib.Path(sys.argv[1]), int(sys.argv[2])
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+    s.bind(("127.0.0.1", port))
+    _, simulator = s.recvfrom(1024)
+    s.sendto(b"here", simulator)
+    time.sleep(2.0)
+change = {"kind": "PhaseChange", "t_ns": time.monotonic_ns(), "old": "hold", "new": "breakaway", "reason": "sight lost"}
+(folder / "events.jsonl").write_text(json.dumps(change) + chr(10))
+"""
+
+
+def test_on_the_wall_clock_too_a_breakaway_counts_from_its_fault(flight, monkeypatch):
+    """The companion breaks away 2 s after the first call; the fault comes 0.2 s into the flight, which is later."""
+    scenario, setup = flight
+    scenario = msgspec.structs.replace(scenario, faults=(parse_fault("camera.off@0.2"),))
+    port = setup.config.links.mavlink.rpartition(":")[2]
+    monkeypatch.setattr(sitl, "companion_command",
+                        lambda scenario, setup, folder, t0_ns: [sys.executable, "-c", BREAKS_AWAY, str(folder), port])
+    summary = fly_sitl(scenario, setup).summary
+    assert summary["faults"] == ["camera.off@0.2"]
+    assert 0.0 < summary["breakaway_delay_s"] <= 1.9
 
 
 def test_ctrl_c_in_sitl_leaves_a_summary(flight, program, monkeypatch):
