@@ -59,7 +59,8 @@ def fusion_of(setup: Setup, aircraft: Aircraft, markers: Mat) -> Fusion:
     """Return the fusion that the configuration asks for; ``markers`` (n, 3) in the order of the labels."""
     config, camera = setup.config, setup.camera
     if config.fusion.method == "filter":
-        return RelativeFilter(config.fusion, aircraft, camera, markers, partial(pixels_to_normalised, camera))
+        ids = tuple(m.id for m in landmarks(setup.tanker, config.vision))
+        return RelativeFilter(config.fusion, aircraft, camera, markers, partial(pixels_to_normalised, camera), ids)
     return Blend(config.fusion, aircraft)
 
 

@@ -47,15 +47,16 @@ class RelativeFilter:
     """Reads an ``Aircraft`` and vision (``fusion.Fusion``). No clock.
 
     ``markers`` (n, 3), m, tanker axes, in the order of the labels; ``to_plane`` brings pixels (k, 2) to z = 1.
+    ``ids`` (n,) name the markers in updates, their rows without.
     """
 
     def __init__(
         self, config: FusionConfig, aircraft: Aircraft, camera: CameraConfig, markers: Mat,
-        to_plane: Callable[[Mat], Mat],
+        to_plane: Callable[[Mat], Mat], ids: tuple[int, ...] = (),
     ) -> None:
         self._config, self._aircraft = config, aircraft
         self._reader = FrameReader(config.filter, camera, markers, to_plane)
-        self._steps = Steps(config.filter, markers)
+        self._steps = Steps(config.filter, markers, ids)
         c = config.filter
         self._noise = InsNoise(c)
         self._gps_alone_m2 = 3.0 * c.gps_bias_sigma_m**2

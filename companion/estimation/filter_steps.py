@@ -73,9 +73,11 @@ class Outcome:
 class Steps:
     """Applies measurements to estimates, with one configuration."""
 
-    def __init__(self, c: FilterConfig, all_markers: Mat) -> None:
+    def __init__(self, c: FilterConfig, all_markers: Mat, ids: tuple[int, ...] = ()) -> None:
+        """``ids`` of the markers by which they are told of; their rows without."""
         self._c = c
         self._markers = np.ascontiguousarray(all_markers, dtype=np.float64)
+        self._ids = ids or tuple(range(len(all_markers)))
         self._noise = process_noise(c)
         self._initial = initial_sigma(c)
         self._gps_gate = float(chdtri(3, c.gate_probability))
@@ -209,7 +211,7 @@ class Steps:
         out = np.flatnonzero(nis < 0.0).tolist()
         used = n - len(out)
         updates = [FilterUpdate(m.t_ns, "pixels", total, 2 * used)]
-        updates += [FilterUpdate(m.t_ns, f"marker {pixels.ids[k]}", -nis[k], 2, "gate") for k in out]
+        updates += [FilterUpdate(m.t_ns, f"marker {self._ids[pixels.ids[k]]}", -nis[k], 2, "gate") for k in out]
         after = replace(e, x=x, cov=cov, sight_ns=m.t_ns, markers_used=used, pixel_offsets=(), pixels_refused_ns=None)
         return after, Outcome(tuple(updates), True, pixels)
 

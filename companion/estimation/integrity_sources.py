@@ -13,7 +13,8 @@ Rules
   of the window, an attitude has gone (``attitude``). Only poses that found their own rotation count.
 * Normalised innovations squared (Bar-Shalom, Li, Kirubarajan 2001, 5.4): a mean of ``TOO_LARGE`` times the degrees of
   freedom, or more than half of a source's measurements refused, is ``innovation <source>``. A note where something
-  else judges: GPS, and single markers that the filter leaves out.
+  else judges: GPS, and single markers that the filter leaves out. A marker is only told of when it is left out: in
+  every other frame of which some were taken it was not.
 """
 
 from __future__ import annotations
@@ -180,19 +181,35 @@ class InnovationTest:
         """Forget every measurement."""
         self._means: dict[str, RunningMean] = {}
         self._alarms: dict[str, Alarm] = {}
+        self._frame_ns: int | None = None
 
     def see(self, update: FilterUpdate) -> None:
         """Take one measurement."""
         refused = update.reason in REFUSALS
         if not refused and (update.reason or not math.isfinite(update.nis)):
             return
-        mean = self._means.setdefault(update.source, RunningMean(3, self._config.window_s))
-        alarm = self._alarms.setdefault(update.source, Alarm(SOURCE_ON_S, SOURCE_OFF_S))
+        if update.source == "pixels" and not refused:
+            self._not_left_out(update.t_ns)
         taken = np.array([0.0, 0.0, 1.0]) if refused else np.array([update.nis, float(update.dof), 0.0])
-        mean.add(update.t_ns, taken)
+        self._take(update.source, update.t_ns, taken)
+
+    def _not_left_out(self, t_ns: int) -> None:
+        """Tell the markers that were not left out of the last frame; those of this one are told after it."""
+        frame_ns, self._frame_ns = self._frame_ns, t_ns
+        if frame_ns is None:
+            return
+        for source, mean in self._means.items():
+            if source.startswith("marker") and mean.t_ns is not None and mean.t_ns < frame_ns:
+                self._take(source, frame_ns, np.zeros(3))
+
+    def _take(self, source: str, t_ns: int, told: Vec) -> None:
+        """Take what is told of a measurement: nis, degrees of freedom, 1 if it was refused."""
+        mean = self._means.setdefault(source, RunningMean(3, self._config.window_s))
+        alarm = self._alarms.setdefault(source, Alarm(SOURCE_ON_S, SOURCE_OFF_S))
+        mean.add(t_ns, told)
         nis, dof, share = mean.mean.tolist()
         large = nis > TOO_LARGE * dof or share > REFUSED
-        alarm.update(update.t_ns, fails=mean.count >= LEAST_UPDATES and large)
+        alarm.update(t_ns, fails=mean.count >= LEAST_UPDATES and large)
 
     @property
     def failing(self) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -257,6 +257,19 @@ def test_a_wrong_marker_is_named_and_left_out():
     assert np.linalg.norm(f.error_m()) < 0.05
 
 
+def test_markers_are_named_by_their_ids():
+    f = Flight()
+    f.filter = RelativeFilter(FusionConfig(), f.aircraft, fs.CAMERA, fs.MARKERS, f.plane, tuple(range(21, 30)))
+
+    def wrong(f):
+        frame = f.frame()
+        frame.detections.uv_px[4] += [8.0, -5.0]
+        return frame
+
+    f.go(1.0).go(1.0, labels=range(9)).go(1.0, labels=wrong)
+    assert f.reasons("marker 25") == ["gate"] * 20
+
+
 def test_single_frames_that_are_metres_off_change_nothing():
     f = Flight().go(1.0).go(2.0, labels=range(9))
     f.go(0.4, labels=lambda f: f.frame(seen_from_m=f.r_m + np.array([1.0, 1.0, -1.0])))

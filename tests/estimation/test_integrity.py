@@ -297,6 +297,22 @@ def test_innovations(source, nis, reason, faults, notes):
     assert last(watcher, w, 1).faults == ()
 
 
+def test_a_marker_that_is_taken_again_is_no_longer_told_of():
+    watcher, w = monitor(), world()
+    last(watcher, w)
+
+    def frames(count, marker):
+        for _ in range(count):
+            (seen, fused), state, _ = w.frame()
+            for output in (seen, FilterUpdate(w.t_ns, "pixels", 16.0, 16), *marker(w.t_ns), fused):
+                watcher.see(output)
+        return watcher.at(state, w.sources()).notes
+
+    assert frames(60, lambda t_ns: [FilterUpdate(t_ns, "marker 3", 50.0, 2, "gate")]) == ("innovation marker 3",)
+    assert frames(20, lambda t_ns: []) == ("innovation marker 3",)
+    assert frames(100, lambda t_ns: []) == ()
+
+
 def test_markers_that_fit_no_pose_are_a_fault():
     watcher, w = monitor(), world()
     last(watcher, w)
