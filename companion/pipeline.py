@@ -132,10 +132,12 @@ class Pipeline:
     def _time_step(self, step: TimeStep) -> list[Output]:
         """Move what was stamped before the step; begin anew where it cannot be put beside what comes after it.
 
-        A fusion that measures against the distance flown does not mind that samples move in time together.
+        Samples, and what rests on them, move in time together.
         """
         self.aircraft.time_step_event(step)
         if step.continuous:
+            self.fusion.shift(step.step_ns)
+            self.relative.shift(step.step_ns)
             return []
         self.fusion.restart()
         self.relative.restart()

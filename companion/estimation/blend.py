@@ -13,7 +13,7 @@ Rules
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,11 @@ class Blend:
     def restart(self) -> None:
         """Forget the last blend."""
         self._anchor = None
+
+    def shift(self, step_ns: int) -> None:
+        """Move the last blend in time."""
+        if self._anchor is not None:
+            self._anchor = replace(self._anchor, t_ns=self._anchor.t_ns + step_ns)
 
     def positions(self) -> list[Output]:
         """Nothing to do: positions are read where they are needed."""

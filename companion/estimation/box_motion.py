@@ -63,6 +63,10 @@ class BoxObserver:
         """Tell whether a report is newer than the last."""
         return self._t_ns is None or t_ns > self._t_ns
 
+    def shift(self, step_ns: int) -> None:
+        """Move the last report in time."""
+        self._t_ns = None if self._t_ns is None else self._t_ns + step_ns
+
     def update(self, t_ns: int, v_ned_m_s: Vec, R_ned_tanker: Mat, omega_tanker_rad_s: Vec) -> None:
         """Take a report that is newer than the last."""
         lever = R_ned_tanker @ (skew(omega_tanker_rad_s) @ self._box_tanker_m)

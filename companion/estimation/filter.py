@@ -30,7 +30,7 @@ from companion.estimation.filter_noise import OWN, TANKER, TRAVEL, InsNoise, age
 from companion.estimation.filter_state import BORESIGHT, THETA, Estimate, P, V
 from companion.estimation.filter_steps import Steps
 from companion.estimation.fusion import Prior, Relative
-from companion.geometry import SE3, Mat, Vec, exp_so3, skew
+from companion.geometry import SE3, Mat, Vec, exp_so3
 from companion.messages import NS, FilterState, FilterUpdate, FusedPose, Output, VisionOutput
 
 GPS_PERIOD_S = 0.1
@@ -66,6 +66,11 @@ class RelativeFilter:
         """Forget everything: time has stepped."""
         self._history = FilterHistory(self._steps, self._config.filter.horizon_s)
         self._gps_taken_ns: int | None = None
+
+    def shift(self, step_ns: int) -> None:
+        """Move all instants: our clock has stepped, and the samples with it."""
+        self._history.shift(step_ns)
+        self._gps_taken_ns = None if self._gps_taken_ns is None else self._gps_taken_ns + step_ns
 
     @property
     def sight_ns(self) -> int | None:
@@ -134,25 +139,7 @@ class RelativeFilter:
         x, cov = self._steps.carried(e, t_ns, self._noise.gaps(a))
         seen_s = np.inf if e.sight_ns is None else (t_ns - e.sight_ns) * NS
         sure = float(cov[0, 0] + cov[1, 1] + cov[2, 2]) <= TRACKED_M**2
-        return Prior(self._pose(a, x), sure and seen_s <= self._config.filter.sight_lasts_s, self._pose_cov(a, x, cov))
-
-    def _pose_cov(self, a: Aligned, x: Vec, cov: Mat) -> Mat:
-        """Return the covariance (6, 6) of translation and rotation of the prior, camera axes, left-hand."""
-        R_cam_ned = (a.own_attitude.R_ned_body @ self._T_frd_cam(x).R).T
-        r_ned_m = a.travel_difference_m + x[P]
-        R_ned_frd, T_frd_cam = a.own_attitude.R_ned_body, self._aircraft.T_frd_cam
-        t_cam_m = -R_cam_ned @ (r_ned_m + R_ned_frd @ T_frd_cam.t)
-        J = np.zeros((6, 22))
-        J[:3, P], J[:3, BORESIGHT] = -R_cam_ned, skew(t_cam_m)
-        J[3:, THETA], J[3:, BORESIGHT] = R_cam_ned, -np.eye(3)
-        J[:3, 16:19] = -R_cam_ned @ skew(r_ned_m)  # noise of the receiver's INS, which turns everything
-        J[3:, 16:19], J[3:, 19:22] = -R_cam_ned, R_cam_ned
-        wide = np.zeros((22, 22))
-        noise = self._noise.table(a, ages_of(self._aircraft, a.t_ns))
-        wide[:16, :16] = cov
-        wide[P, P] += noise[TRAVEL]
-        wide[16:19, 16:19], wide[19:, 19:] = noise[OWN], noise[TANKER]
-        return J @ wide @ J.T
+        return Prior(self._pose(a, x), sure and seen_s <= self._config.filter.sight_lasts_s)
 
     def at(self, t_ns: int) -> Relative | None:
         """Return the estimate at an instant; None before the start and when a source is missing or stale."""

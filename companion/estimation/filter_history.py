@@ -33,6 +33,15 @@ class FilterHistory:
         """Return the estimate after the newest measurement."""
         return self._estimates[-1] if self._estimates else self._base
 
+    def shift(self, step_ns: int) -> None:
+        """Move all instants, those of what may come late as well."""
+        if self._base is not None:
+            self._base = self._base.shifted(step_ns)
+        self._base_order = self._base_order[0] + step_ns, self._base_order[1]
+        self._orders = [(t_ns + step_ns, kind) for t_ns, kind in self._orders]
+        self._measurements = [m.shifted(step_ns) for m in self._measurements]
+        self._estimates = [e.shifted(step_ns) for e in self._estimates]
+
     def before(self, t_ns: int) -> Estimate | None:
         """Return the newest estimate at or before an instant, the oldest there is when all are after it."""
         k = bisect_right(self._orders, (t_ns, 2))

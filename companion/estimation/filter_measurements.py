@@ -7,7 +7,7 @@ at its instant are in it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class GpsDifference:
     def order(self) -> tuple[int, int]:
         """Return where it stands among the measurements of a flight."""
         return self.t_ns, 0
+
+    def shifted(self, step_ns: int) -> GpsDifference:
+        """Return the same at another instant."""
+        return replace(self, t_ns=self.t_ns + step_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +88,11 @@ class PixelFrame:
     def order(self) -> tuple[int, int]:
         """Return where it stands among the measurements of a flight."""
         return self.t_ns, 1
+
+    def shifted(self, step_ns: int) -> PixelFrame:
+        """Return the same at another instant."""
+        offset = None if self.offset is None else self.offset.shifted(step_ns)
+        return replace(self, t_ns=self.t_ns + step_ns, offset=offset)
 
     @property
     def v_ned_tanker_m_s(self) -> Vec:

@@ -17,7 +17,7 @@ slice           unit, axes   meaning
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -42,6 +42,15 @@ class Offset:
 
     t_ns: int
     offset_m: Vec
+
+    def shifted(self, step_ns: int) -> Offset:
+        """Return the same at another instant."""
+        return replace(self, t_ns=self.t_ns + step_ns)
+
+
+def later(t_ns: int | None, step_ns: int) -> int | None:
+    """Return an instant moved, if there is one."""
+    return None if t_ns is None else t_ns + step_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +77,16 @@ class Estimate:
     pixels_refused_ns: int | None = None
     gaps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     v_ned_tanker_m_s: Vec = field(default_factory=lambda: np.zeros(3))
+
+    def shifted(self, step_ns: int) -> Estimate:
+        """Return the same with all instants moved."""
+        return replace(
+            self, t_ns=self.t_ns + step_ns, sight_ns=later(self.sight_ns, step_ns), gps_ns=later(self.gps_ns, step_ns),
+            pixels_refused_ns=later(self.pixels_refused_ns, step_ns),
+            gps_offset=None if self.gps_offset is None else self.gps_offset.shifted(step_ns),
+            gps_offsets=tuple(o.shifted(step_ns) for o in self.gps_offsets),
+            pixel_offsets=tuple(o.shifted(step_ns) for o in self.pixel_offsets),
+        )
 
     @property
     def position_sigma_m(self) -> float:

@@ -12,14 +12,10 @@ from companion.messages import Output, VisionOutput
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """Predicted ``T_cam_tanker`` at an exposure; ``tracked`` when it rests on a vision just passed.
-
-    ``cov`` (6, 6) of (translation in m, rotation in rad) as of ``PoseMeasurement``; None when the fusion does not know.
-    """
+    """Predicted ``T_cam_tanker`` at an exposure; ``tracked`` when it rests on a vision just passed."""
 
     T_cam_tanker: SE3
     tracked: bool
-    cov: Mat | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,3 +62,6 @@ class Fusion(Protocol):
 
     def restart(self) -> None:
         """Forget everything: time has stepped."""
+
+    def shift(self, step_ns: int) -> None:
+        """Move all instants: our clock has stepped, and the samples of the aircraft with it."""

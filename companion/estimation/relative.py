@@ -33,6 +33,10 @@ class RelativeEstimator:
         """Forget how the box moved: time has stepped."""
         self._observer = BoxObserver(self._box_tanker_m)
 
+    def shift(self, step_ns: int) -> None:
+        """Move what is known of the box' motion in time."""
+        self._observer.shift(step_ns)
+
     def sources(self) -> Sources:
         """Return how new the newest sample of each source is."""
         a = self._aircraft

@@ -15,6 +15,7 @@ from companion.messages import (
     PoseMeasurement,
     Reject,
     TankerState,
+    TimeStep,
     VisionOutput,
 )
 
@@ -182,3 +183,16 @@ def test_a_restart_forgets_the_last_blend():
     assert b.sight_ns is None
     assert b.at(200 * MS).vision_weight == 0.0
     assert np.allclose(b.prior(200 * MS).T_cam_tanker.t, aircraft.gps_prior(200 * MS).t)
+
+
+def test_a_continuous_step_of_the_clock_takes_the_last_blend_along():
+    relative_m, bias, step_ns = [-29.0, 0.0, 9.0], np.array([0.0, 0.0, 2.0]), 3000 * MS
+    aircraft, b = fed(relative_m, gps_bias=bias)
+    blended(b, 180 * MS, true_pose(180 * MS, relative_m))
+    before = b.at(200 * MS)
+    aircraft.time_step_event(TimeStep(200 * MS, "mavlink", step_ns, continuous=True))
+    b.shift(step_ns)
+    after = b.at(200 * MS + step_ns)
+    assert np.allclose(after.p_ned_m, before.p_ned_m, atol=1e-9)
+    assert after.vision_weight == before.vision_weight == 1.0
+    assert b.sight_ns == 180 * MS + step_ns

@@ -81,3 +81,12 @@ def test_after_a_long_silence_it_starts_afresh():
     v, R, omega, v_box, *_ = circling(60.0, 0.2)
     observer.update(t_ns + 50_000_000_000, v, R, omega)
     np.testing.assert_allclose(observer.at(t_ns + 50_000_000_000).v_ned_m_s, v_box, atol=1e-9)
+
+
+def test_the_observer_moves_in_time_with_the_reports():
+    (observer, t_ns), (stepped, _) = watch(5.0, 0.2), watch(5.0, 0.2)
+    stepped.shift(3_000_000_000)
+    a, b = observer.at(t_ns + 50_000_000), stepped.at(t_ns + 3_050_000_000)
+    assert (a.v_ned_m_s == b.v_ned_m_s).all()
+    assert a.heading0_rad == b.heading0_rad
+    assert not stepped.is_new(t_ns + 3_000_000_000)
