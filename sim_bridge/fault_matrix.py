@@ -69,7 +69,7 @@ def shortened(setup: Setup) -> Setup:
     guidance = msgspec.structs.replace(
         setup.config.guidance, procedure="refuelling", auto_engage=True, auto_gates=True, self_test=False,
         pre_contact_m=(-3.6, 0.0, 1.2), join_settle_s=1.0, observation_s=0.5, stabilise_s=0.5, may_dock_s=0.5,
-        capture_s=0.5, contact_near_m=0.5,
+        capture_s=0.5, contact_near_m=0.3, contact_closure_m_s=0.3, closure_m_s2=0.3,
     )
     return msgspec.structs.replace(setup, config=msgspec.structs.replace(setup.config, guidance=guidance))
 

@@ -16,10 +16,15 @@ COLUMNS = ("fault", "has to end", "ended", "because of", "breakaway from the fau
            "BR told wrong, m (share of the alert limit)", "")
 WRONG = "**wrong**"
 
-SINCE = {
-    Since.FAULT: "", Since.HEARTBEAT: ", 3 s without a heartbeat",
-    Since.REASON: ", which comes later: the last that was good of what the reason names",
-}
+SINCE = {Since.FAULT: "", Since.HEARTBEAT: " (a)", Since.REASON: " (b)"}
+STAMPS = " (c)"
+NOTES = (
+    "- (a) Counted from 3 s after the last heartbeat: an autopilot is lost after so long.",
+    "- (b) The estimate bears the fault for a while. Counted from the last sample or estimate that was taken, or the "
+    "last at which integrity had nothing against it, whichever the reason names; or from an error of BR beyond its "
+    "alert limit, if that is earlier.",
+    "- (c) Counted from when the first false stamp can come, as long after the fault as it holds up samples.",
+)
 
 
 def delays_s(flight: CellFlight) -> tuple[float, float] | None:
@@ -36,7 +41,7 @@ def row(flight: CellFlight) -> str:
     if delays is not None:
         late = f" (over {REACTION_S:g} s)" if delays[0] > REACTION_S else ""
         after, cause = f"{delays[0]:.2f} s{late}", f"{delays[1]:.2f} s{SINCE[cell.since]}"
-        cause = cause if not cell.at_s else f"{cause}, false stamps from {cell.at_s:g} s on"
+        cause += STAMPS if cell.at_s else ""
     error_m, share = flight.off()
     off = "" if math.isnan(error_m) else f"{error_m:.2f} ({100.0 * share:.0f} %)"
     because = cell.why if flight.ended == "held" else flight.reason
@@ -46,9 +51,10 @@ def row(flight: CellFlight) -> str:
 
 
 def brief(flight: CellFlight) -> str:
-    """Return how a flight ended in a word or two: held, standby, breakaway 0.38 s."""
-    delays = delays_s(flight)
-    text = f"{flight.ended} {delays[0]:.2f} s" if flight.ended == BREAKAWAY[0] and delays is not None else flight.ended
+    """Return how a flight ended in a word or two: held, standby, breakaway 0.38 s; a late one with its cause."""
+    delays, text = delays_s(flight), flight.ended
+    if flight.ended == BREAKAWAY[0] and delays is not None:
+        text += f" {delays[0]:.2f} s" + (f" ({delays[1]:.2f} s after its cause)" if delays[0] > REACTION_S else "")
     return text if flight.right else f"{text} {WRONG}"
 
 
@@ -68,8 +74,9 @@ def condensed(flights: Sequence[CellFlight]) -> str:
 
 
 def table(flights: Sequence[CellFlight]) -> str:
-    """Return a row for each flight."""
-    return "\n".join(["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *map(row, flights)])
+    """Return a row for each flight, and below them what is counted from what."""
+    rows = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *map(row, flights)]
+    return "\n".join([*rows, "", *NOTES])
 
 
 def summary(flights: Sequence[CellFlight]) -> str:

@@ -81,7 +81,8 @@ def test_a_flight_is_wrong_when_its_fault_never_came_or_anything_was_dangerous(w
 def test_rows_say_how_long_after_the_fault_and_after_its_cause():
     late = replace(CELL, since=Since.REASON, within_s=2.0)
     text = fault_table.row(flown(late, 22.4, errors=[(round(22.0 * S), 0.31, 0.34)], reason_ns=22 * S))
-    assert "| 1.40 s (over 0.5 s) | 0.40 s, which comes later" in text
+    assert "| 1.40 s (over 0.5 s) | 0.40 s (b) |" in text
+    assert fault_table.brief(flown(late, 22.4, reason_ns=22 * S)) == "breakaway 1.40 s (0.40 s after its cause)"
     assert "| 0.31 (34 %) |" in text
     assert "| 0.40 s | 0.40 s |  |" in fault_table.row(flown())
 
