@@ -84,7 +84,9 @@ def open_links(setup: Setup, clock: Clock, on_bytes: OnBytes, stack: ExitStack) 
     sources = [Watched(autopilot, clock, "mavlink", links.mavlink,
                        "is the autopilot (or sim-bridge serve) running, and does it send there?")]
     if links.datalink:
-        datalink = SerialDatalink(links.datalink, clock, links.origin_altitude_m, autopilot.offset_ns)
+        datalink = SerialDatalink(
+            links.datalink, clock, links.origin_altitude_m, autopilot.offset_ns, autopilot.uncertain_ns
+        )
         stack.callback(datalink.close)
         sources.append(Watched(datalink, clock, "datalink", links.datalink,
                                "does the tanker (or sim-bridge serve) send, and at this rate?"))

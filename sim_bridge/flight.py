@@ -81,7 +81,8 @@ class LockstepCompanion:
         dispatch = self.service.dispatch
         self.hear(arrivals.mavlink)
         if arrivals.datalink:
-            for event in self._datalink.receive(arrivals.datalink, t_ns, self.link.offset_ns):
+            link = self.link
+            for event in self._datalink.receive(arrivals.datalink, t_ns, link.offset_ns, link.uncertain_ns):
                 dispatch(event)
         if self.link.offset_ns is not None:
             for frame in arrivals.frames:

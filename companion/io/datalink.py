@@ -205,8 +205,13 @@ class TankerReceiver:
         self.bounds = ArrivalBounds(baud)
         self._altitude0_m = altitude0_m
 
-    def receive(self, data: bytes, now_ns: int, offset_ns: int | None) -> list[Event]:
-        """Take bytes at ``now_ns`` (companion's base); ``offset_ns`` is GPS clock minus companion's clock."""
+    def receive(
+        self, data: bytes, now_ns: int, offset_ns: int | None, uncertain_ns: int | None = None
+    ) -> list[Event]:
+        """Take bytes at ``now_ns`` (companion's base); ``offset_ns`` is GPS clock minus companion's clock.
+
+        ``uncertain_ns``: by how much that may be wrong, None when that is not known.
+        """
         since_ns = self.bounds.read(now_ns)
         before = dict(self.parser.rejects)
         frames = self.parser.feed(data)
@@ -214,15 +219,17 @@ class TankerReceiver:
         if before != dict(self.parser.rejects):
             lost = self.parser.rejects - Counter(before)
             events += [Reject(now_ns, SOURCE, reason, f"{n} in {len(data)} bytes") for reason, n in lost.items()]
-        events += [self._event(frame, since_ns, now_ns, offset_ns) for frame in frames]
+        events += [self._event(frame, since_ns, now_ns, offset_ns, uncertain_ns) for frame in frames]
         return events
 
-    def _event(self, frame: TankerFrame, since_ns: int, now_ns: int, offset_ns: int | None) -> Event:
+    def _event(
+        self, frame: TankerFrame, since_ns: int, now_ns: int, offset_ns: int | None, uncertain_ns: int | None
+    ) -> Event:
         if offset_ns is None:
             return Reject(now_ns, SOURCE, "no_timesync", "the offset of the GPS clock is not known yet")
         gps = frame.to_state(now_ns + offset_ns, self._altitude0_m)
         t_ns = gps.t_ns - offset_ns
-        reason = self.bounds.fault(t_ns, FRAME_SIZE, since_ns, now_ns)
+        reason = self.bounds.fault(t_ns, FRAME_SIZE, since_ns, now_ns, uncertain_ns)
         if not reason and t_ns < now_ns - MAX_AGE_NS:
             reason = "stale_stamp"
         if reason:
@@ -233,18 +240,22 @@ class TankerReceiver:
 class SerialDatalink:
     """The datalink on a serial device: an event source.
 
-    ``spec`` is ``DEVICE,BAUD``; ``offset_ns`` tells GPS clock minus companion's clock, None while unknown. The device
+    ``spec`` is ``DEVICE,BAUD``; ``offset_ns`` tells GPS clock minus companion's clock, None while unknown, and
+    ``uncertain_ns`` by how much that may be wrong. The device
     has to be there at the start, else ConfigError; when it goes away later it is opened again as soon as it is back.
     """
 
     FIRST_BACK_OFF_NS = 100_000_000
     LONGEST_BACK_OFF_NS = 5_000_000_000
 
-    def __init__(self, spec: str, clock: Clock, altitude0_m: float, offset_ns: Callable[[], int | None]) -> None:
+    def __init__(
+        self, spec: str, clock: Clock, altitude0_m: float, offset_ns: Callable[[], int | None],
+        uncertain_ns: Callable[[], int | None] = lambda: None,
+    ) -> None:
         self._device, self._baud = parse_spec("datalink", spec)
         self.receiver = TankerReceiver(altitude0_m, self._baud)
         self._clock = clock
-        self._offset_ns = offset_ns
+        self._offset_ns, self._uncertain_ns = offset_ns, uncertain_ns
         self._back_off_ns = self.FIRST_BACK_OFF_NS
         self._next_try_ns = 0
         self._closed = False
@@ -265,7 +276,7 @@ class SerialDatalink:
         except OSError as error:
             return [self._lost(now_ns, error)]
         # Read behind the device: what has come while the process was held up in between has not come in the future.
-        return self.receiver.receive(data, self._clock.now_ns(), self._offset_ns())
+        return self.receiver.receive(data, self._clock.now_ns(), self._offset_ns(), self._uncertain_ns())
 
     def _lost(self, now_ns: int, error: OSError) -> Reject:
         self._let_go()

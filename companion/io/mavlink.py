@@ -70,6 +70,11 @@ class AutopilotLink:
         """Autopilot's (GPS) clock minus companion's clock; None before the first TIMESYNC answer."""
         return self.clock.offset.offset_ns
 
+    @property
+    def uncertain_ns(self) -> int | None:
+        """By how much ``offset_ns`` may be wrong, None when that is not known."""
+        return self.clock.offset.uncertain_ns
+
     def to_companion_ns(self, autopilot_ns: int) -> int:
         """Return an instant of the autopilot's clock on ours; raises ValueError before the first TIMESYNC answer."""
         return self.clock.offset.to_ours_ns(autopilot_ns)
@@ -229,6 +234,10 @@ class MavlinkUdp:
     def offset_ns(self) -> int | None:
         """Return autopilot's (GPS) clock minus companion's clock, None while unknown."""
         return self.link.offset_ns
+
+    def uncertain_ns(self) -> int | None:
+        """Return by how much that offset may be wrong, None when that is not known."""
+        return self.link.uncertain_ns
 
     def poll(self) -> list[Event]:
         """Return the events received since the last call, without waiting; send what is due."""

@@ -93,6 +93,16 @@ class ClockOffset:
         """Tell whether the last answer did not agree with those before."""
         return bool(self._suspects)
 
+    @property
+    def uncertain_ns(self) -> int | None:
+        """Return by how much ``offset_ns`` may be wrong: half the round trip, and what it has yet to slew.
+
+        None before the first round trip, and while an answer contradicts those before.
+        """
+        if self.offset_ns is None or self.round_trip_ns is None or self.doubtful:
+            return None
+        return self.round_trip_ns // 2 + abs(self._target_ns - self.offset_ns)
+
     def request(self, now_ns: int) -> int:
         """Note that a request leaves now; return its ``ts1``, which is never one that is still under way."""
         ts1 = max(now_ns, self._sent[-1] + 1) if self._sent else now_ns

@@ -55,7 +55,7 @@ def test_the_lag_forgets():
     assert bounds.lag_ns == 40 * MS
 
 
-def outcomes(stamp_of, *, until_s=4.0, read_every_ms=5, hold=(9.9, 9.9)):
+def outcomes(stamp_of, *, until_s=4.0, read_every_ms=5, hold=(9.9, 9.9), uncertain_ns=None):
     """Return what comes of a report every 40 ms, read every few ms but not during ``hold`` (s)."""
     receiver, events, line = TankerReceiver(0.0, BAUD), [], []
     start_ns, sent_ns = 100 * S, 100 * S
@@ -65,7 +65,7 @@ def outcomes(stamp_of, *, until_s=4.0, read_every_ms=5, hold=(9.9, 9.9)):
             sent_ns += 40 * MS
         if hold[0] * S <= now_ns - start_ns < hold[1] * S:
             continue
-        events += [(now_ns, e) for e in receiver.receive(b"".join(line), now_ns, 0)]
+        events += [(now_ns, e) for e in receiver.receive(b"".join(line), now_ns, 0, uncertain_ns)]
         line.clear()
     return receiver, events
 
@@ -129,3 +129,25 @@ def test_stamps_wrap_every_256_seconds():
         [state] = receiver.receive(frame_at(stamp_ns), stamp_ns + ON_LINE_NS, 0)
         assert isinstance(state, TankerState)
         assert abs(state.t_ns - stamp_ns) <= 8_000
+
+
+@pytest.mark.parametrize("ahead_ms", [12, 20, 50, 90])
+def test_a_clock_that_is_ahead_is_found_however_little_when_ours_is_known(ahead_ms):
+    """Frames wait up to 8 ms for a reader: those too that would be possible by themselves are refused."""
+    _, events = outcomes(lambda t_ns: t_ns + ahead_ms * MS, read_every_ms=8, uncertain_ns=1 * MS)
+    assert set(reasons(events)[3:]) == {"future_stamp"}
+    _, events = outcomes(lambda t_ns: t_ns + ahead_ms * MS, uncertain_ns=100 * MS)
+    assert set(reasons(events)) == {""}, "within what our own time may err"
+
+
+def test_a_single_stamp_ahead_takes_no_other_with_it():
+    _, events = outcomes(lambda t_ns: t_ns + (40 * MS if t_ns == 101 * S else 0), uncertain_ns=1 * MS)
+    told = reasons(events)
+    assert told.count("future_stamp") == 1
+    assert set(told) == {"", "future_stamp"}
+
+
+@pytest.mark.parametrize("behind_ms", [0, 40, 200])
+def test_a_clock_that_is_true_or_behind_is_never_ahead(behind_ms):
+    _, events = outcomes(lambda t_ns: t_ns - behind_ms * MS, uncertain_ns=0)
+    assert set(reasons(events)) == {""}
