@@ -65,8 +65,14 @@ study: $(VENV)/.kernels
 faults: $(VENV)/.kernels
 	@$(BIN)/sim-bridge faults --seed $(SEED) --out docs/faults.md $(ARGS)
 
-consistency accuracy integrity: $(VENV)/.kernels
-	@$(BIN)/sim-bridge $@ --out docs $(ARGS)
+consistency: $(VENV)/.kernels
+	@$(BIN)/sim-bridge consistency --out docs $(ARGS)
+
+accuracy: $(VENV)/.kernels
+	@$(BIN)/sim-bridge accuracy --out docs $(ARGS)
+
+integrity: $(VENV)/.kernels
+	@$(BIN)/sim-bridge integrity --out docs $(ARGS)
 
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/python -m pytest -q $(ARGS)
